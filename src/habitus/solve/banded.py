@@ -31,6 +31,8 @@ TOGETHER = 4
 """Steps of all frames before those that still move go on by themselves."""
 AROUND = 12
 """Frames on either side of one that moves which go on with it."""
+DOUBTFUL = 20.0
+"""Frames that cost so many times the median are tried again from their neighbours."""
 PATIENCE = 3
 """Steps in a row that may raise the cost: bounds that are met on the way raise it at first."""
 GOOD, POOR = 0.25, 0.75
@@ -115,6 +117,7 @@ def solve_banded(
         if status == "iterations":
             status, more = level.solve_runs(options.steps - count)
             count += more
+        level.second_chances(options.steps)
         states[frames[begin:end]] = level.states[: end - begin]
         statuses.append(status)
         steps.append(count)
@@ -157,11 +160,14 @@ class _Level:
         self.reach = gaps[:, None] * np.where(np.isfinite(problem.change), problem.change, 1e9)
         self.damping = np.full(len(frames), options.damping)
         self.moved = np.full(len(frames), np.inf)
+        self.rows = slice(0, len(frames))
 
     def solve(self, limit: int) -> tuple[str, int]:
         """Take steps until the cost rests; status and how many."""
         costs, gradient, matrix = self._linearized()
         total = float(np.sum(costs)) + self._coupling(self.states)[0]
+        if not np.isfinite(total):
+            return "not finite", 0
         best, least, rises = self.states, total, 0
         for count in range(limit):
             trial = self._trial(gradient, matrix)
@@ -175,11 +181,9 @@ class _Level:
             change = np.where(surprise < GOOD, 0.1, np.where(surprise < POOR, 1.0, 10.0))
             self.damping = np.clip(self.damping * change, 1e-6, 1e9)
             self.damping[~(surprise < POOR)] = np.maximum(self.damping[~(surprise < POOR)], 0.1)
-            if not np.isfinite(after):
-                return "not finite", count
             self.moved = np.abs(step).max(axis=1)
-            rises = rises + 1 if after >= least else 0
-            if rises > PATIENCE:
+            rises = 0 if after < least else rises + 1
+            if rises > PATIENCE or not np.isfinite(after):
                 rises = 0
                 self.states, total = best, least
                 self.damping = np.maximum(100.0 * self.damping, 1.0)
@@ -199,19 +203,49 @@ class _Level:
         moving = binary_dilation(self.moved > self.options.rest, iterations=AROUND)
         statuses, steps = ["converged"], [0]
         for first, end in runs(moving & ~self.held):
-            begin, stop = max(first - 2, 0), min(end + 2, len(self.frames))
-            rows = slice(begin, stop)
-            part = _Level(
-                self.problem, self.frames[rows], self.states[rows], self.stride, self.options
-            )
-            part.held[: first - begin] = True
-            part.held[end - begin :] = True
-            part.damping = np.maximum(self.damping[rows], 0.01)
+            part = self._part(first, end, self.states)
+            part.damping = np.maximum(self.damping[part.rows], 0.01)
             status, count = part.solve(limit)
-            self.states[rows] = part.states
+            self.states[part.rows] = part.states
             statuses.append(status)
             steps.append(count)
         return next((each for each in statuses if each != "converged"), "converged"), max(steps)
+
+    def second_chances(self, limit: int) -> None:
+        """Solve runs of frames that cost much more than most again, from straight ways between
+        their neighbours, and keep what is cheaper.
+        """
+        costs = self.problem.cost(self.frames, self.states)
+        doubtful = costs > DOUBTFUL * max(float(np.median(costs)), SMALL)
+        for first, end in runs(binary_dilation(doubtful & ~self.held, iterations=2)):
+            if first < 1 or end > len(self.frames) - 1:
+                continue
+            ends = np.array([first - 1, end])
+            start = self.states.copy()
+            inner = np.arange(first, end)
+            start[inner] = _between(inner, ends, self.states[ends])
+            begin, stop = max(first - AROUND, 0), min(end + AROUND, len(self.frames))
+            before = self._part(begin, stop, self.states).total()
+            part = self._part(begin, stop, start)
+            part.solve(limit)
+            if part.total() < before:
+                self.states[part.rows] = part.states
+
+    def total(self) -> float:
+        """Cost of all frames and of their coupling."""
+        own = self.problem.cost(self.frames, self.states)
+        return float(np.sum(own)) + self._coupling(self.states)[0]
+
+    def _part(self, first: int, end: int, states: np.ndarray) -> "_Level":
+        """The frames first to end - 1 by themselves, two on either side held."""
+        begin, stop = max(first - 2, 0), min(end + 2, len(self.frames))
+        rows = slice(begin, stop)
+        options = self.options
+        part = _Level(self.problem, self.frames[rows], states[rows], self.stride, options)
+        part.held[: first - begin] = True
+        part.held[end - begin :] = True
+        part.rows = rows
+        return part
 
     def _linearized(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.problem.linearize(self.frames, self.states)

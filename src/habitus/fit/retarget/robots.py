@@ -29,7 +29,7 @@ ROOT = 6
 class RobotSettings:
     """Weights of squares (directions are unit vectors, so that 1 is a radian), and the rest."""
 
-    stand: float = 8e5
+    stand: float = 3e6
     """1/m², of where the heel and the toes of a foot that stands are on the ground."""
     level: float = 3e3
     """1/m², of the height of each point of a sole that stands: an ankle that cannot lay the foot
@@ -38,7 +38,7 @@ class RobotSettings:
     """1/m², of the middle of a foot that does not."""
     hips: float = 25.0
     """1/m², of the middle of the hips, whose way is scaled with the legs."""
-    floor: float = 3e3
+    floor: float = 1e4
     """1/m², of what is below the ground."""
     clearance: float = 3e3
     """1/m², of how far capsules enter one another."""
@@ -52,9 +52,10 @@ class RobotSettings:
     """rad and rad/s by which limits are kept, so that rounding passes none."""
     contacts: ContactSettings = field(default_factory=ContactSettings)
     schedule: tuple[tuple[float, BandedOptions], ...] = (
-        (1e-2, BandedOptions(stride=8, steps=30, damping=1.0)),
-        (1e-2, BandedOptions(steps=15)),
-        (1.0, BandedOptions(steps=20)),
+        (3e-3, BandedOptions(stride=8, steps=30, damping=1.0)),
+        (3e-3, BandedOptions(steps=15)),
+        (0.1, BandedOptions(steps=15)),
+        (1.0, BandedOptions(steps=15, tolerance=1e-4)),
     )
     """Stages of the solver, each with a share of the weight of ``stand``."""
 
