@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import habitus as hb
-from habitus.body.segments import DENSITY, TRUNK_DENSITY, segment_masses
+from habitus.body.segments import DENSITY, TRUNK_DENSITY, owners, segment_masses
 from habitus.errors import HabitusError
 from habitus.gait.contacts import ForcePlate
 from habitus.gait.dynamics import (
@@ -157,3 +157,24 @@ def test_a_known_mass_is_kept():
     assert segment_masses(body, np.zeros(body.num_betas)).source == "from the volume"
     with pytest.raises(HabitusError, match="mass is 900 kg"):
         segment_masses(body, np.zeros(body.num_betas), 900.0)
+
+
+@pytest.mark.parametrize("sex", ["female", "male"])
+def test_each_part_is_a_solid_by_itself(sex):
+    """Centres lie within their parts and inertias are those of solids, in the trunk, too."""
+    body = hb.load_body(sex)
+    betas = np.zeros(body.num_betas)
+    own = segment_masses(body, betas)
+    surface = body.rest_vertices(betas)
+    owner = owners(body, surface, body.rest_joints(betas))
+    for k in np.flatnonzero(own.mass):
+        places = surface[owner == k]
+        margin = 0.05
+        assert (own.centre[k] > places.min(axis=0) - margin).all(), body.joint_names[k]
+        assert (own.centre[k] < places.max(axis=0) + margin).all(), body.joint_names[k]
+        moments = np.linalg.eigvalsh(own.inertia[k])
+        assert moments[0] > 0.0, body.joint_names[k]
+        assert moments[2] <= moments[0] + moments[1], body.joint_names[k]
+    faces = surface[body.faces]
+    volume = np.einsum("fi,fi->f", faces[:, 0], np.cross(faces[:, 1], faces[:, 2])).sum() / 6.0
+    assert own.volume.sum() == pytest.approx(volume, rel=1e-6)

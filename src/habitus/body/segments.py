@@ -74,9 +74,7 @@ def surface_masses(
 ) -> SegmentMasses:
     """`segment_masses` of a person whose surface at rest (m) is given, whatever shape it has.
 
-    whole_trunk: pelvis, spine and collar bones are one part, the pelvis'. Cuts within the trunk
-    meet each other, where fans about different joints do not close: of its parts only the sums are
-    sound, of the whole also the centre and the inertia.
+    whole_trunk: pelvis, spine and collar bones are one part, the pelvis'.
     """
     if mass is not None and not 2.0 < mass < 400.0:
         raise HabitusError(f"mass is {mass:g} kg; expected 2 to 400")
@@ -157,6 +155,10 @@ def _parts(
 ) -> dict[int, Float[np.ndarray, "n 3 3"]]:
     """The triangles of each part, cuts closed. A face belongs to the joint of most of its corners,
     else of the first.
+
+    Where two cuts of a part meet at a vertex, a triangle between their tips closes what their fans
+    leave open, and one to the middle of the body the polygon of the tips. Parts that meet there
+    share these triangles, so that volumes still add up.
     """
     corners = owner[faces]
     own = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
@@ -169,13 +171,21 @@ def _parts(
         if other is not None and other != k:
             cuts.setdefault((k, other), []).append((a, b))
     parts = {int(k): [surface[faces[own == k]]] for k in np.unique(own)}
+    comes: dict[tuple[int, int], list[np.ndarray]] = {}
+    goes: dict[tuple[int, int], list[np.ndarray]] = {}
     for (k, other), border in cuts.items():
         ends = np.array(border)
-        middle = _apex(k, other, joints, parents)
-        fan = np.stack(
-            [surface[ends[:, 1]], surface[ends[:, 0]], np.tile(middle, (len(ends), 1))], 1
-        )
+        apex = _apex(k, other, joints, parents)
+        fan = np.stack([surface[ends[:, 1]], surface[ends[:, 0]], np.tile(apex, (len(ends), 1))], 1)
         parts[k].append(fan)
+        for a, b in border:
+            goes.setdefault((k, a), []).append(apex)
+            comes.setdefault((k, b), []).append(apex)
+    middle = surface.mean(axis=0)
+    for (k, vertex), before in comes.items():
+        after = goes[k, vertex]
+        for one, two in zip(before, after, strict=True):
+            parts[k].append(np.array([[surface[vertex], one, two], [two, one, middle]]))
     return {k: np.concatenate(pieces) for k, pieces in parts.items()}
 
 
