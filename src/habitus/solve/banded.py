@@ -31,6 +31,8 @@ TOGETHER = 4
 """Steps of all frames before those that still move go on by themselves."""
 AROUND = 12
 """Frames on either side of one that moves which go on with it."""
+CLIPPED = 0.02
+"""A step that leads farther beyond a bound is solved again with that unknown on its bound."""
 DOUBTFUL = 20.0
 """Frames that cost so many times the median are tried again from their neighbours."""
 PATIENCE = 3
@@ -286,7 +288,7 @@ class _Level:
         held = np.where(still, 0.0, np.nan)
         step = _solved(band, gradient, held)
         beyond = np.clip(self.states + step, low, high) - self.states
-        clipped = beyond != step
+        clipped = np.abs(beyond - step) > CLIPPED
         if clipped.any():
             step = _solved(band, gradient, np.where(clipped & ~still, beyond, held))
         return np.clip(self.states + step, low, high)
