@@ -186,6 +186,17 @@ def _nearest(p, q, r, s):
 
 
 @jit
+def _across(p, q, r, s, out):
+    """The direction square to two segments that cross; up where they are parallel."""
+    _cross(q - p, s - r, out)
+    length = np.sqrt(_dot(out, out))
+    if length > 1e-9:
+        out /= length
+    else:
+        out[0], out[1], out[2] = 0.0, 0.0, 1.0
+
+
+@jit
 def _far(ends, lengths, a, b, reach):
     """Whether two segments cannot be as near as ``reach``: their middles are too far apart."""
     square = 0.0
@@ -268,10 +279,13 @@ def _clearance(robot, goal, work, derive, gradient, matrix):
             there[i] = ends[b, 0, i] + y * (ends[b, 1, i] - ends[b, 0, i])
             away[i] = here[i] - there[i]
             square += away[i] ** 2
-        if square >= reach**2 or square < 1e-12:
+        if square >= reach**2:
             continue
         distance = np.sqrt(square)
-        away /= distance
+        if distance > 1e-6:
+            away /= distance
+        else:
+            _across(ends[a, 0], ends[a, 1], ends[b, 0], ends[b, 1], away)
         cost += 0.5 * goal.clearance_weight * (distance - reach) ** 2
         if derive:
             row = np.zeros(count_all)
