@@ -19,8 +19,8 @@ COMMANDS = {
     "archive": "Fit every capture below a folder, in parallel, and resume a stopped run: page and "
     "table of all results.",
     "label": "Label the points of an unlabelled capture, by a layout or by a labelled capture.",
-    "live": "Follow one person through a live stream of markers: viewer, OSC and VMC, a result at "
-    "the end.",
+    "live": "Follow one person through a live stream of markers or of cameras' keypoints: viewer, "
+    "OSC and VMC, a result at the end.",
     "register": "Register scans of people to a body: surfaces in its topology, for training and "
     "measuring.",
     "rgbd": "Fit a body to images of a depth camera: shape, pose, light, albedo, measurements.",
@@ -31,7 +31,8 @@ COMMANDS = {
     "body": "Estimate a person's body from some measurements: height, weight, sex, age, waist, …",
     "compare": "Compare two results of one capture: two fits, or those of two tools, on one page.",
     "exaggerate": "Scale the soft-tissue motion of a fit.",
-    "retarget": "Transfer the motion of a fit to another body or character, with foot contacts.",
+    "retarget": "Transfer the motion of a fit to another body, a character or a humanoid robot, "
+    "with foot contacts.",
     "export": "Write a fit for Blender, Maya, Unity, Unreal, OpenSim: FBX, USD, glTF, BVH, TRC, "
     "MOT.",
     "view": "Show bodies, results, motions and scans in the browser.",
@@ -42,6 +43,7 @@ COMMANDS = {
     "train": "Learn a body model from registrations of people in poses.",
     "train-dynamics": "Learn how soft tissue moves from registrations of people in motion.",
     "evaluate": "Measure body models on registrations of unseen people.",
+    "doctor": "Say what is installed, what is missing, and what this machine can do.",
 }
 """Subcommands and their summaries; each is a module of this package (with _ for -)."""
 VERBOSE = ("-v", "--verbose")
