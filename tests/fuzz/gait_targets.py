@@ -50,4 +50,27 @@ def _read_bands(path: Path) -> None:
 def _bands(folder: Path) -> list[Target]:
     rows = [f"{k},{10 + k * 0.2:.1f},3.5,{k - 50},2" for k in range(0, 101, 5)]
     head = "percent,knee_flexion_mean,knee_flexion_sd,hip_flexion_mean,hip_flexion_sd"
-    return [alone("band.csv", _read_bands, "\n".join([head, *rows]).encode())]
+    return [
+        alone("band.csv", _read_bands, "\n".join([head, *rows]).encode()),
+        alone("cycles.csv", _read_cycles, cycles().encode()),
+    ]
+
+
+def cycles(shift: float = 0.0) -> str:
+    """A result's cycles.csv of two strides a side."""
+    rows = ["side,stride,percent,knee_flexion_deg,hip_internal_rotation_deg_not_validated"]
+    for side in ("left", "right"):
+        for stride in (1, 2):
+            rows += [f"{side},{stride},{k},{k + shift + stride:.1f},-3" for k in range(101)]
+    return "\n".join(rows) + "\n"
+
+
+def _read_cycles(path: Path) -> None:
+    from habitus.io.bands import read_bands
+
+    folder = path.with_suffix(".results")
+    for name in ("a", "b", "c"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / name / "cycles.csv").write_bytes(path.read_bytes())
+    found = read_bands(folder)
+    assert all(np.isfinite(band).all() and band.shape == (101, 2) for band in found.values())

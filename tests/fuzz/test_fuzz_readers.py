@@ -55,6 +55,7 @@ NAMES = (
     "organised cloud",
     "plates.c3d",
     "band.csv",
+    "cycles.csv",
     "robot.xml",
     "robot.urdf",
     "pairs.toml",

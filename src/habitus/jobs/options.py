@@ -466,7 +466,8 @@ class GaitOptions:
     """
     opensim_markers: Annotated[Path | None, unset("XML")] = None
     """The marker set of a generic model that has none, such as gait2392."""
-    band: Annotated[Path | None, unset("CSV")] = None
+    band: Annotated[Path | None, unset("CSV|FOLDER")] = None
     """A laboratory's own reference, drawn behind the curves: a .csv with the columns percent, and
-    for each curve NAME_mean and NAME_sd, such as knee_flexion_mean.
+    for each curve NAME_mean and NAME_sd, such as knee_flexion_mean; or a folder with at least
+    three results of habitus gait.
     """
