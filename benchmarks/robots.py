@@ -11,7 +11,7 @@ motions of the same body: its SMPL-X table takes joints by SMPL's names, which a
 - slip: heels and toes of the robot while the person's stand, mm/s, root mean square, level.
 - below: deepest point of soles and capsules under the ground, mm; overlap: of two links, mm.
 - limits: joints beyond a limit, degrees; speed: the fastest joint, rad/s.
-- frames/s: on one core, without reading and writing.
+- frames a second: on one core, without reading and writing.
 With mujoco installed the places of all links are compared with mj_kinematics (peer, mm).
 """
 
@@ -69,7 +69,7 @@ def row_of(program: str, name: str, result: RobotRetargeting, seconds: float) ->
         "overlap": 1e3 * quality.overlap,
         "limits": float(np.rad2deg(max(beyond, 0.0))),
         "speed": float(np.abs(np.diff(motion.angles, axis=0)).max() * motion.rate_hz),
-        "frames/s": motion.num_frames / seconds,
+        "frames a second": motion.num_frames / seconds,
         "verdict": quality.verdict.level,
     }
 

@@ -110,6 +110,23 @@ LINES = (
     Line("cameras", "4, cameras off .5 deg, 2 cm: joints up to the rig's place", "summary/scene=4, cameras off .5 deg, 2 cm/placed", "mean", "{:.1f} mm"),
     Line("cameras", "scenes with one fault or none: called good", "spoilt/verdict=good", "count"),
     Line("cameras", "of these without a fault", "spoilt/fault=none/verdict=good", "count"),
+    Line("tailors", "men", "men"),
+    Line("tailors", "volume from {}: mean error", "errors/*/mean error %", form="{:.1f} %"),
+    Line("tailors", "volume from {}: bias", "errors/*/bias %", form="{:+.1f} %"),
+    Line("tailors", "volume from {}: correlation", "errors/*/correlation", form="{:.3f}"),
+    *(
+        line
+        for program in ("habitus", "GMR")
+        for line in (
+            Line("robots", f"{program}: motions", f"rows/program={program}/frames", "count"),
+            Line("robots", f"{program}: limbs from the person's, mean", f"rows/program={program}/direction", "mean", "{:.1f}°"),
+            Line("robots", f"{program}: slip of feet that stand, median of motions", f"rows/program={program}/slip", "median", "{:.1f} mm/s"),
+            Line("robots", f"{program}: the same, worst", f"rows/program={program}/slip", "worst", "{:.1f} mm/s"),
+            Line("robots", f"{program}: below the ground, worst", f"rows/program={program}/below", "worst", "{:.1f} mm"),
+            Line("robots", f"{program}: overlap of links, worst", f"rows/program={program}/overlap", "worst", "{:.1f} mm"),
+            Line("robots", f"{program}: frames a second, median", f"rows/program={program}/frames a second", "median", "{:,.0f}"),
+        )
+    ),
     Line("wide_people", "people", "summary/people"),
     Line("wide_people", "right (without hands: mean error up to 3 mm, 95 % up to 7 mm)", "summary/right"),
     Line("wide_people", "called good of the right", "summary/good of the right"),

@@ -65,14 +65,14 @@ def _mean_curves(path: Path) -> dict[str, Float[np.ndarray, " 101"]]:
     if (np.abs(table) >= MAX_VALUE).any():
         raise HabitusError(f"{path}: numbers beyond {MAX_VALUE:g}; expected angles, moments, …")
     whole = np.arange(POINTS)
-    strides = [table[np.flatnonzero(table[:, 0] == percent), 1:] for percent in whole]
+    strides = [table[table[:, 0] == percent, 1:] for percent in whole]
     if min(map(len, strides), default=0) == 0:
         return {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a curve that no stride has stays NaN
         curves = np.array([np.nanmean(rows, axis=0) for rows in strides])
     names = [UNIT.sub("", text) for text in head[3:]]
-    known = np.isfinite(curves).all(axis=0)
+    known = np.asarray(np.isfinite(curves).all(axis=0))
     return {name: curves[:, k] for k, name in enumerate(names) if known[k]}
 
 
