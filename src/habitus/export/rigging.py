@@ -10,6 +10,8 @@ from habitus.export.animation import Animation, Track
 from habitus.export.rigs import Rig, rig_named
 from habitus.export.skeleton import Skeleton, in_bones, posed_joints, skeleton_of, skin_turns
 
+_LOOSE = 0.5
+"""Degrees."""
 _CHECKED = 64
 """Frames in which a new rest pose is compared with the old one."""
 
@@ -31,20 +33,23 @@ class Bones:
         return None if self.rig is None else rig_named(self.rig)
 
 
-def rigged(animation: Animation, bones: Bones) -> Animation:
+def rigged(animation: Animation, bones: Bones, *, loose: bool = False) -> Animation:
     """The animation on a rig's bones. Raises HabitusError for other names and axes.
 
     Named rigs, and those with a bone on the floor, rest with the soles at y = 0. Bones in other
     axes show the same surface. A rest pose with hanging arms binds the skin anew: exact where one
     joint carries a vertex, and what it moves others by is added to ``morph_worst`` and
-    ``morph_elsewhere``.
+    ``morph_elsewhere``. loose: bones miss those below by `_LOOSE` where joints move: importers of
+    FBX connect bones that touch, and then leave out how the lower one moves.
     """
     rig = bones.table
     joints, vertices = animation.rest_joints, animation.rest_vertices
     if rig or bones.root_bone:
         lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
         joints, vertices = joints + lift, vertices + lift
-    skeleton = skeleton_of(animation.body, joints, vertices, rig, bones.axes, bones.root_bone)
+    tilt = _LOOSE if loose and _joints_move(animation) else 0.0
+    how = rig, bones.axes, bones.root_bone, tilt
+    skeleton = skeleton_of(animation.body, joints, vertices, *how)
     moved = tuple(_on(track, joints, skeleton) for track in animation.tracks)
     result = replace(
         animation, rest_vertices=vertices, rest_joints=joints, tracks=moved, skeleton=skeleton
@@ -62,6 +67,12 @@ def rigged(animation: Animation, bones: Bones) -> Animation:
         morph_worst=animation.morph_worst + away,
         morph_elsewhere=animation.morph_elsewhere and animation.morph_elsewhere + away,
     )
+
+
+def _joints_move(animation: Animation) -> bool:
+    """Whether soft tissue moves joints against those above them."""
+    moved = (np.ptp(track.joint_translations[:, 1:], axis=0) for track in animation.tracks)
+    return any(each.max(initial=0.0) > 1e-7 for each in moved)
 
 
 def _on(track: Track, joints: Float[np.ndarray, "J 3"], skeleton: Skeleton) -> Track:

@@ -23,6 +23,8 @@ from habitus.export.rigs import Rig
 
 AXES = ("along", "world")
 NOBODY = -1
+FLOOR_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Of a bone on the floor: z up, y backwards, so that it is not turned where z is up."""
 _SIDES = ("left", "right")
 _FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 _MAIN: Mapping[str, str] = MappingProxyType(
@@ -110,14 +112,19 @@ def bone_axes(
         length = np.linalg.norm(way)
         above = found[parent, :, 1] if parent >= 0 else np.array([0.0, 1.0, 0.0])
         y = way / length if length > 1e-6 else above
-        up = name in _FORWARD or y[2] > _STEEP
-        aim = np.array([0.0, -1.0, 0.0] if name in _PALMS else [0.0, 1.0, 0.0] if up else [0, 0, 1])
-        across = np.cross(y, aim)
-        if np.linalg.norm(across) < 0.1:  # along the limb: any other
-            across = np.cross(y, np.roll(aim, 1))
-        x = across / np.linalg.norm(across)
-        found[joint] = np.stack([x, y, np.cross(x, y)], axis=1)
+        found[joint] = _aimed(y, name)
     return found
+
+
+def _aimed(y: Float[np.ndarray, " 3"], name: str) -> Float[np.ndarray, "3 3"]:
+    """A bone's axes: along y, rolled as becomes the joint that carries it."""
+    up = name in _FORWARD or y[2] > _STEEP
+    aim = np.array([0.0, -1.0, 0.0] if name in _PALMS else [0.0, 1.0, 0.0] if up else [0, 0, 1])
+    across = np.cross(y, aim)
+    if np.linalg.norm(across) < 0.1:  # along the limb: any other
+        across = np.cross(y, np.roll(aim, 1))
+    x = across / np.linalg.norm(across)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
 def _way(body: BodyModel, joints: np.ndarray, vertices: np.ndarray, joint: int) -> np.ndarray:
@@ -153,21 +160,24 @@ def skeleton_of(
     rig: Rig | None = None,
     axes: str = "along",
     root_bone: bool = False,
+    tilt: float = 0.0,
 ) -> Skeleton:
     """The bones that a file has of a body that rests so (m, zero pose).
 
     rig: their names, those between and beyond joints, and the rest pose; by itself the body's own
     joints. axes: "along", or "world" for bones that rest turned like the world. root_bone: with a
-    bone on the floor that the pelvis hangs on. Raises HabitusError for other axes and for names
+    bone on the floor that the pelvis hangs on. tilt: degrees by which bones miss their limbs.
+    Raises HabitusError for other axes and for names
     that two bones would have.
     """
     check_axes(axes)
     frames = np.tile(np.eye(3), (len(joints), 1, 1))
     if axes == "along":
         frames = bone_axes(body, joints, vertices)
-    bones = _Bones(body, joints, frames)
+    bones = _Bones(body, joints, frames, axes == "along")
+    tilted = Rotation.from_euler("x", tilt if axes == "along" else 0.0, degrees=True).as_matrix()
     if root_bone:
-        bones.add(rig.root if rig else "root", NOBODY, NOBODY, np.zeros(3), np.eye(3))
+        bones.add(rig.root if rig else "root", NOBODY, NOBODY, np.zeros(3), FLOOR_AXES)
     for joint, name in enumerate(body.joint_names):
         parent = body.parents[joint]
         above = (0 if root_bone else NOBODY) if parent < 0 else bones.towards(parent, joint, rig)
@@ -178,14 +188,16 @@ def skeleton_of(
             joint = body.joint_names.index(name)
             end = joints[joint] + tip(body, joints, vertices, joint)
             bones.add(called, bones.own[joint], joint, end, frames[joint])
-    return bones.skeleton(_turned(body, rig))
+    return bones.skeleton(_turned(body, rig), tilted)
 
 
 class _Bones:
     """Bones as they are added."""
 
-    def __init__(self, body: BodyModel, joints: np.ndarray, frames: np.ndarray) -> None:
-        self.body, self.joints, self.frames = body, joints, frames
+    def __init__(
+        self, body: BodyModel, joints: np.ndarray, frames: np.ndarray, aimed: bool
+    ) -> None:
+        self.body, self.joints, self.frames, self.aimed = body, joints, frames, aimed
         self.own: dict[int, int] = {}
         self._rows: list[tuple[str, int, int, np.ndarray, np.ndarray]] = []
 
@@ -198,23 +210,29 @@ class _Bones:
         names = self.body.joint_names
         for each in rig.between if rig else ():
             if (each.start, each.end) == (names[start], names[end]):
-                place = self.joints[start]
-                place = place + each.fraction * (self.joints[end] - place)
-                return self.add(each.name, self.own[start], start, place, self.frames[start])
+                way = self.joints[end] - self.joints[start]
+                place = self.joints[start] + each.fraction * way
+                axes = _aimed(way / np.linalg.norm(way), names[start])
+                axes = axes if self.aimed else self.frames[start]
+                return self.add(each.name, self.own[start], start, place, axes)
         return self.own[start]
 
-    def skeleton(self, turned: np.ndarray) -> Skeleton:
-        names, parents, carriers, places, axes = zip(*self._rows, strict=True)
+    def skeleton(self, turned: np.ndarray, tilted: np.ndarray) -> Skeleton:
+        names, parents, carriers, places, rows = zip(*self._rows, strict=True)
+        axes = [
+            row if carrier < 0 else row @ tilted
+            for row, carrier in zip(rows, carriers, strict=True)
+        ]
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise HabitusError(f"two bones would be called {twice}; choose another rig")
         rest = np.tile(np.eye(4), (len(names), 1, 1))
+        rest[:, :3, :3], rest[:, :3, 3] = axes, places
         posed = posed_joints(self.body, self.joints, turned)
         for k, carrier in enumerate(carriers):
-            turn = turned[carrier] if carrier >= 0 else np.eye(3)
-            rest[k, :3, :3] = turn @ axes[k]
-            rest[k, :3, 3] = places[k]
             if carrier >= 0:
+                turn = turned[carrier]
+                rest[k, :3, :3] = turn @ axes[k]
                 rest[k, :3, 3] = posed[carrier] + turn @ (places[k] - self.joints[carrier])
         own = np.array([self.own[joint] for joint in range(len(self.joints))])
         return Skeleton(
@@ -265,7 +283,7 @@ def in_bones(
         axes = skeleton.axes[above] if above >= 0 else np.eye(3)
         below = skeleton.axes[bone]
         if carrier == NOBODY:
-            quaternions[:, bone], moved[:, bone] = (0.0, 0.0, 0.0, 1.0), floor
+            quaternions[:, bone], moved[:, bone] = Rotation.from_matrix(below).as_quat(), floor
         elif skeleton.own[carrier] != bone:
             quaternions[:, bone] = Rotation.from_matrix(axes.T @ below).as_quat()
             moved[:, bone] = (skeleton.places[bone] - skeleton.places[above]) @ axes

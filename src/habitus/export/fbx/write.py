@@ -46,7 +46,7 @@ def write_fbx(
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
     if face:
         animation = with_face(animation, face_weights(fit))
-    animation = rigged(animation, bones or Bones())
+    animation = rigged(animation, bones or Bones(), loose=True)
     take = shown(fit.capture_name, 200)
     objects = Objects()
     limbs = add_skeleton(objects, animation)
