@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from .bones import rest_quaternion
 from .core import Motion, quaternions, rotation_vectors
 from .person import TISSUE, UPRIGHT, body_of, points_of
 from .tissue import simulated
@@ -29,15 +30,17 @@ def animate(context, person, motion: Motion):
         np.arange(1, frames + 1, dtype=np.float32),
     )
     for joint, name in enumerate(names):
-        values = quaternions(motion.pose[:, joint])
+        values = _in_bone(quaternions(motion.pose[:, joint]), armature.pose.bones[name])
         flips = np.cumsum((values[1:] * values[:-1]).sum(-1) < 0) % 2
         values[1:][flips == 1] *= -1
         for part in range(4):
             key_curve(
                 curves, f'pose.bones["{name}"].rotation_quaternion', part, times, values[:, part]
             )
+    rest = np.array(armature.pose.bones[names[0]].bone.matrix_local.to_3x3())
+    trans = motion.trans @ rest
     for part in range(3):
-        key_curve(curves, f'pose.bones["{names[0]}"].location', part, times, motion.trans[:, part])
+        key_curve(curves, f'pose.bones["{names[0]}"].location', part, times, trans[:, part])
     if motion.dynamics is not None and "dynamics_drive" in body_of(person).arrays:
         key_tissue(person, motion.dynamics, times)
     context.scene.frame_set(1)
@@ -83,7 +86,12 @@ def recorded(context, person) -> tuple:
         scene.frame_set(int(frame))
         posed = armature.evaluated_get(context.evaluated_depsgraph_get())
         whole = [(posed.matrix_world @ posed.pose.bones[name].matrix) for name in names]
-        worlds = np.array([each.to_quaternion() for each in whole])
+        worlds = np.array(
+            [
+                each.to_quaternion() @ rest_quaternion(posed.pose.bones[name]).inverted()
+                for each, name in zip(whole, names, strict=True)
+            ]
+        )
         turns.append(
             [
                 _against(worlds, joint, parent)
@@ -96,16 +104,30 @@ def recorded(context, person) -> tuple:
     return rotation_vectors(np.array(turns)), np.array(trans), frames, rate
 
 
+def _in_bone(turns, bone):
+    """Turns (T, 4; w first) in the body's axes as those of a bone, which rests turned."""
+    rest = np.array(rest_quaternion(bone))
+    return _product(_product(rest * [1, -1, -1, -1], turns), rest)
+
+
 def _against(worlds, joint, parent):
-    """A bone's turn against its parent (w first): bones rest turned like the body."""
+    """A joint's turn against its parent (w first)."""
     if parent < 0:
         return worlds[joint]
-    (a, b, c, d), (w, x, y, z) = worlds[parent] * [1, -1, -1, -1], worlds[joint]
-    return (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
+    return _product(worlds[parent] * [1, -1, -1, -1], worlds[joint])
+
+
+def _product(first, second):
+    """Quaternions (..., 4; w first) one after the other."""
+    (a, b, c, d), (w, x, y, z) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        axis=-1,
     )
 
 

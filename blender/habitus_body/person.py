@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from .bones import resting
 from .core import Body
 from .smpl import read_body
 from .tailor import NAMES, measure, tailored
@@ -108,10 +109,13 @@ def _make_skin(person, model):
 
 
 def _make_bones(context, armature, model):
+    axes, lengths = resting(model, model.joints(np.zeros(model.num_betas)))
+    rows = zip(model.joint_names, model.parents, axes, lengths, strict=True)
     with _editing(context, armature):
-        for name, parent in zip(model.joint_names, model.parents, strict=True):
+        for name, parent, turn, length in rows:
             bone = armature.data.edit_bones.new(name)
-            bone.head, bone.tail = (0, 0, 0), (0, 0.05, 0)
+            bone.head, bone.tail = (0, 0, 0), (0, length, 0)
+            bone.matrix = Matrix(turn.tolist()).to_4x4()
             if parent >= 0:
                 bone.parent = armature.data.edit_bones[model.joint_names[parent]]
     for bone in armature.pose.bones:
@@ -172,8 +176,9 @@ def reshape(person, context):
             key.data.foreach_set("co", (points_of(key) - before + points).ravel())
     with _editing(context, armature):
         for name, place in zip(model.joint_names, model.joints(betas, age), strict=True):
-            bone = armature.data.edit_bones[name]  # turned like the body: along y, no roll
-            bone.head, bone.tail, bone.roll = place, place + np.array([0, 0.05, 0]), 0.0
+            bone = armature.data.edit_bones[name]  # keys stay true: it keeps how it is turned
+            along = np.array(bone.tail) - np.array(bone.head)
+            bone.head, bone.tail = place, place + along
     if "density" in model.arrays:
         with _quietly(person):
             for name, value in zip(NAMES, measure(model, betas, age)[0], strict=True):

@@ -23,6 +23,7 @@ from habitus.rotations import up_rotation
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
 import bpy, sys, numpy as np
+from mathutils import Quaternion
 folder = sys.argv[-1]
 bpy.ops.preferences.addon_enable(module="habitus_body")
 context, scene = bpy.context, bpy.context.scene
@@ -38,9 +39,13 @@ def seen(person):
 found = {}
 given = np.load(f"{folder}/given.npz")
 
+def turned(bone, turn):  # in the body's axes
+    rest = bone.bone.matrix_local.to_quaternion()
+    bone.rotation_quaternion = rest.inverted() @ Quaternion(turn) @ rest
+
 def pose(person, names, turns):
     for bone, turn in zip(names, turns):
-        person.parent.pose.bones[str(bone)].rotation_quaternion = turn.tolist()  # as an animator turns it
+        turned(person.parent.pose.bones[str(bone)], turn.tolist())
     context.view_layer.update()
 
 for k, sex in enumerate(("female", "neutral", "male")):
@@ -110,7 +115,7 @@ found["other"] = seen(context.object)
 assert bpy.ops.habitus.export_fbx(filepath=f"{folder}/folded") == {"FINISHED"}
 bpy.ops.habitus.add(sex="male")  # turned by hand, in one key, at the place where it stands
 person = context.object
-person.parent.pose.bones["left_elbow"].rotation_quaternion = (0.8, 0.0, -0.6, 0.0)
+turned(person.parent.pose.bones["left_elbow"], (0.8, 0.0, -0.6, 0.0))
 person.parent.pose.bones["left_elbow"].keyframe_insert("rotation_quaternion", frame=1)
 assert bpy.ops.habitus.export_fbx(filepath=f"{folder}/keyed") == {"FINISHED"}
 scene.frame_set(1)

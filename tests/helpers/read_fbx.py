@@ -124,6 +124,13 @@ class Fbx:
     def limbs(self) -> list[Record]:
         return [o for o in self.objects.values() if o.name == "Model" and o.values[2] == "LimbNode"]
 
+    @staticmethod
+    def before(limb: Record) -> np.ndarray:
+        """A limb's PreRotation, which it turns after."""
+        names = [p.values[0] for p in limb["Properties70"].records]
+        turn = limb.prop("PreRotation") if "PreRotation" in names else [0.0, 0.0, 0.0]
+        return Rotation.from_euler("xyz", turn, degrees=True).as_matrix()
+
     def world(self, frame: int) -> dict[int, np.ndarray]:
         """Matrices of all limbs (parents come first)."""
         found: dict[int, np.ndarray] = {}
@@ -141,7 +148,7 @@ class Fbx:
                 for a, s in zip("XYZ", turn, strict=True)
             ]
             local[:3, :3], local[:3, 3] = (
-                Rotation.from_euler("xyz", turn, degrees=True).as_matrix(),
+                self.before(limb) @ Rotation.from_euler("xyz", turn, degrees=True).as_matrix(),
                 place,
             )
             (parent,) = (

@@ -23,9 +23,11 @@ class Export:
 
     habitus export him.npz --out him.fbx --bake-correctives all      (him.npz: of habitus body)
 
-    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc:
-    joints and markers; .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: the fit or motion.
-    `docs/exporting.md` explains how programs import them.
+    habitus export him.npz --out him.vrm --skin medium
+
+    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .vrm: an avatar at rest;
+    .bvh: the skeleton in motion; .trc: joints and markers; .mot: OpenSim's joint angles; .obj,
+    .ply: one mesh; .npz: the fit or motion. `docs/exporting.md` explains how programs import them.
     """
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
@@ -50,6 +52,16 @@ class Export:
     """Of meshes: a blend shape for each face unit, with ARKit's names."""
     skin: Annotated[str, metavar("none|light|medium|dark|0..1")] = "none"
     """Skin of a default body's mesh: a tone from 0 (light) to 1 (dark); none: a plain material."""
+    rig: Annotated[str, metavar("none|mixamo|manny|humanoid|vrm|rokoko")] = "none"
+    """Bones by the names, hierarchy and rest pose of Mixamo, Unreal's Manny, Unity's humanoids, VRM
+    1.0 or Rokoko.
+    """
+    bones: Literal["along", "world"] = "along"
+    """Axes of bones: +y along the limb, or turned like the world at rest."""
+    root_bone: bool = False
+    """A bone on the floor, which the pelvis hangs on, for root motion."""
+    light: bool = False
+    """At most 40 blend shapes, beside the face's, for game engines."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one."""
 
@@ -75,6 +87,10 @@ def run(options: Export, console: "Console | None" = None) -> None:
         npz_style=options.npz_style,
         face=options.face,
         skin=options.skin,
+        rig=None if options.rig == "none" else options.rig,
+        bones=options.bones,
+        root_bone=options.root_bone,
+        light=options.light,
     )
     if exported.morphs or exported.worst:
         worst = f"{1e3 * exported.worst:.2g} mm" if exported.worst else "less than 0.01 mm"

@@ -34,6 +34,7 @@ from habitus.export.correctives import (
     sampled_rotations,
     softened,
 )
+from habitus.export.skeleton import Skeleton, plain_skeleton
 from habitus.parallel.blocks import every_nth_frame
 from habitus.rotations import up_rotation
 
@@ -50,8 +51,8 @@ ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
 @dataclass(frozen=True)
 class Track:
-    """A motion: local quaternions (x, y, z, w) without sign jumps, joint translations (m), weights
-    of the morphs.
+    """A motion: local quaternions (x, y, z, w) without sign jumps and translations (m) of the
+    skeleton's bones, J of them, and weights of the morphs.
     """
 
     quaternions: Float[np.ndarray, "T J 4"]
@@ -62,7 +63,7 @@ class Track:
 @dataclass(frozen=True)
 class Animation:
     """Skinned animation in a +y-up world, metres; one track a stage, all over the same bind pose
-    and morphs.
+    and morphs. The skeleton has a bone a joint until `habitus.export.rigging.rigged` gives others.
 
     ``morph_names`` say what they hold. ``morph_drivers`` give the weights in any pose of those that
     the joint drives that the name begins with. ``morph_residual`` is the RMS (metres, over vertices
@@ -78,6 +79,7 @@ class Animation:
     tracks: tuple[Track, ...]
     morph_residual: float
     rate_hz: float
+    skeleton: Skeleton
     morph_names: tuple[str, ...] = ()
     morph_drivers: Drivers = field(default_factory=lambda: Drivers.linear(np.zeros((0, 9))))
     morph_worst: float = 0.0
@@ -145,7 +147,8 @@ def animate(
     rest = body.v_template + body.shapedirs @ betas
     rate = float(fit.rate_hz) / stride
     shown = body, rest, joints, morphs.shapes, tuple(tracks), morphs.residual, rate
-    return Animation(*shown, morphs.names, morphs.drivers, morphs.worst, morphs.elsewhere)
+    bones = plain_skeleton(body, joints)
+    return Animation(*shown, bones, morphs.names, morphs.drivers, morphs.worst, morphs.elsewhere)
 
 
 def _check_length(fit: "Moving", stride: int) -> None:

@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float
 
 from habitus.export.animation import local_quaternions, turned_root
 from habitus.export.euler import continuous_angles
+from habitus.export.rigs import Rig
+from habitus.export.skeleton import names_of, tip
 from habitus.files import atomic_write
 from habitus.parallel.blocks import blocks, drop_pages
 from habitus.rotations import up_rotation
@@ -22,10 +24,9 @@ CM = 100.0
 ORDER = "ZXY"
 """Each joint turns about its own z, then x, then y: R = Rz Rx Ry, the order most BVH files have."""
 _STILL = 2e-5
-_TIP = 0.05
 
 
-def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> None:
+def write_bvh(fit: "Moving", path: str | os.PathLike[str], rig: Rig | None = None) -> None:
     """Write the skeleton in motion as .bvh, atomically, a block of frames at a time: centimetres,
     +y up.
 
@@ -33,7 +34,7 @@ def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> None:
     zero, and its position channels hold its place. Rotations are in degrees, in the order of
     `ORDER`. Soft tissue moves joints: a joint that it moves by more than 0.02 mm has position
     channels, too, which take the place of its offset, as MotionBuilder and Blender read them.
-    Raises HabitusError where the file cannot be written.
+    ``rig``: joints by its names. Raises HabitusError where the file cannot be written.
     """
     body = fit.body
     joints = body.rest_joints(np.asarray(fit.betas, np.float64))
@@ -46,7 +47,8 @@ def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> None:
     moves = np.max(moved, axis=0) > _STILL
     moves[0] = True
     at_root = np.where(np.arange(len(joints))[:, None] == 0, 0.0, offsets)
-    text = "\n".join(_joint(fit, 0, CM * at_root, moves, 0))
+    names = names_of(rig, body.joint_names)
+    text = "\n".join(_joint(fit, names, 0, CM * at_root, moves, 0))
     with (
         atomic_write(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
@@ -76,20 +78,25 @@ def _places(
 
 
 def _joint(
-    fit: "Moving", joint: int, offsets: np.ndarray, moves: np.ndarray, depth: int
+    fit: "Moving",
+    names: tuple[str, ...],
+    joint: int,
+    offsets: np.ndarray,
+    moves: np.ndarray,
+    depth: int,
 ) -> Iterator[str]:
     """The lines of a joint and of all that hang on it."""
     space = "\t" * depth
     parents = fit.body.parents
     turns = " ".join(f"{axis}rotation" for axis in ORDER)
     places = "Xposition Yposition Zposition " if moves[joint] else ""
-    yield f"{space}{'JOINT' if depth else 'ROOT'} {fit.body.joint_names[joint]}"
+    yield f"{space}{'JOINT' if depth else 'ROOT'} {names[joint]}"
     yield f"{space}{{"
     yield f"{space}\tOFFSET {_triple(offsets[joint])}"
     yield f"{space}\tCHANNELS {6 if moves[joint] else 3} {places}{turns}"
     below = [child for child, parent in enumerate(parents) if parent == joint]
     for child in below:
-        yield from _joint(fit, child, offsets, moves, depth + 1)
+        yield from _joint(fit, names, child, offsets, moves, depth + 1)
     if not below:
         yield f"{space}\tEnd Site"
         yield f"{space}\t{{"
@@ -99,15 +106,9 @@ def _joint(
 
 
 def _tip(fit: "Moving", joint: int) -> Float[np.ndarray, " 3"]:
-    """Where a limb ends (cm from its joint): twice as far as the middle of what it carries."""
+    """Where a limb ends (cm from its joint)."""
     betas = np.asarray(fit.betas, np.float64)
-    joints = fit.body.rest_joints(betas)
-    carried = fit.body.skinning_weights[:, joint]
-    if carried.max() < 0.5:
-        way = joints[joint] - joints[max(fit.body.parents[joint], 0)]
-        return CM * _TIP * way / max(float(np.linalg.norm(way)), 1e-9)
-    middle = np.average(fit.body.rest_vertices(betas), axis=0, weights=carried)
-    return 2.0 * CM * (middle - joints[joint])
+    return CM * tip(fit.body, fit.body.rest_joints(betas), fit.body.rest_vertices(betas), joint)
 
 
 def _channels(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pygltflib as gl
+from scipy.spatial.transform import Rotation
 
 from habitus import __version__
 from habitus.body.surface_files import (
@@ -19,8 +20,9 @@ from habitus.body.surface_files import (
 from habitus.errors import shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.faces import face_weights, with_face
+from habitus.export.rigging import Bones, rigged
 from habitus.export.seams import seams_of
-from habitus.export.skins import ROUGHNESS, painted
+from habitus.export.skins import ROUGHNESS, Painted, painted
 from habitus.files import atomic_write
 
 if TYPE_CHECKING:
@@ -41,6 +43,7 @@ def write_glb(
     detail: str = "full",
     face: bool = False,
     skin: str | float | None = None,
+    bones: Bones | None = None,
 ) -> Animation:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
@@ -57,7 +60,8 @@ def write_glb(
     or "coarse", the mesh that was fitted. ``face``: with a morph target for each of the face's
     units (`habitus.export.faces`). ``skin``: a tone of the default body's skin as its texture
     (`habitus.body.skin.skin_tone`); other bodies and the coarse mesh stay plain. What was written
-    comes back. Raises HabitusError for another skin, and where the file cannot be written.
+    comes back. ``bones``: their names, axes and rest pose (`habitus.export.rigging`). Raises
+    HabitusError for another skin, and where the file cannot be written.
     """
     shown_body = body_at(fit, detail)
     animation = one_sided(
@@ -65,13 +69,16 @@ def write_glb(
     )
     if face:
         animation = with_face(animation, face_weights(fit, stride or glb_stride(fit)))
+    animation = rigged(animation, bones or Bones())
     covered = painted(animation, skin)
-    document = _document(covered.animation, shown(fit.capture_name, 200))
-    if covered.picture is not None:
-        add_picture(document, covered.picture, ROUGHNESS)
+    write_document(document_of(covered, shown(fit.capture_name, 200)), path)
+    return animation
+
+
+def write_document(document: gl.GLTF2, path: str | os.PathLike[str]) -> None:
+    """Write a glTF document in its binary form, atomically."""
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join(document.save_to_bytes()))
-    return animation
 
 
 def glb_stride(fit: "Moving") -> int:
@@ -92,33 +99,40 @@ def thinning_note(fit: "Moving") -> tuple[str, ...]:
     )
 
 
-def _document(animation: Animation, name: str) -> gl.GLTF2:
-    joints = len(animation.body.parents)
+def document_of(covered: Painted, name: str, moving: bool = True) -> gl.GLTF2:
+    """The bones, which are the first nodes, the mesh and its skin, and, ``moving``, its motion."""
+    animation = covered.animation
+    bones = len(animation.skeleton.names)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
         scene=0,
-        scenes=[gl.Scene(name=name, nodes=[0, joints])],
-        nodes=[*_joint_nodes(animation), gl.Node(name=name, mesh=0, skin=0)],
+        scenes=[gl.Scene(name=name, nodes=[0, bones])],
+        nodes=[*_bone_nodes(animation), gl.Node(name=name, mesh=0, skin=0)],
         materials=[gltf_material()],
     )
     buffer = GltfBuffer(document)
     document.meshes.append(_mesh(animation, buffer))
     document.skins.append(_skin(animation, buffer))
-    document.animations.append(_tracks(animation, buffer, name))
-    return buffer.closed()
+    if moving:
+        document.animations.append(_tracks(animation, buffer, name))
+    buffer.closed()
+    if covered.picture is not None:
+        add_picture(document, covered.picture, ROUGHNESS)
+    return document
 
 
-def _joint_nodes(animation: Animation) -> list[gl.Node]:
-    parents = animation.body.parents
-    joints = animation.rest_joints
+def _bone_nodes(animation: Animation) -> list[gl.Node]:
+    skeleton = animation.skeleton
+    local = skeleton.local_rest
+    turns = unit_float32(Rotation.from_matrix(local[:, :3, :3]).as_quat())
     return [
         gl.Node(
             name=name,
-            translation=(joints[j] - (joints[parents[j]] if parents[j] >= 0 else 0.0)).tolist(),
-            rotation=[0.0, 0.0, 0.0, 1.0],
-            children=[c for c, p in enumerate(parents) if p == j],
+            translation=local[bone, :3, 3].tolist(),
+            rotation=turns[bone].tolist(),
+            children=[c for c, p in enumerate(skeleton.parents) if p == bone],
         )
-        for j, name in enumerate(animation.body.joint_names)
+        for bone, name in enumerate(skeleton.names)
     ]
 
 
@@ -156,11 +170,12 @@ def _influences(animation: Animation) -> list[tuple[np.ndarray, np.ndarray]]:
     value = np.take_along_axis(dense, index, axis=1)
     value = (value / value.sum(axis=1, keepdims=True)).astype("f4")
     value[:, 0] = 1.0 - value[:, 1:].sum(axis=1, dtype=np.float64)
-    index = np.where(value > 0, index, 0)
+    bones = len(animation.skeleton.names)
+    index = np.where(value > 0, animation.skeleton.own[index], 0)
     padding = ((0, 0), (0, -value.shape[1] % 4))
     index = np.pad(index, padding)
     value = np.pad(value, padding)
-    small = "u1" if count <= 256 else "u2"
+    small = "u1" if bones <= 256 else "u2"
     return [
         (index[:, k : k + 4].astype(small), value[:, k : k + 4])
         for k in range(0, value.shape[1], 4)
@@ -168,19 +183,19 @@ def _influences(animation: Animation) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _skin(animation: Animation, buffer: GltfBuffer) -> gl.Skin:
-    joints = len(animation.body.parents)
-    inverse = np.tile(np.eye(4, dtype="f4"), (joints, 1, 1))
-    inverse[:, 3, :3] = -animation.rest_joints  # glTF matrices are column-major
-    bind = buffer.add(inverse.reshape(joints, 16), gl.MAT4)
+    rest = animation.skeleton.rest
+    inverse = np.linalg.inv(rest).transpose(0, 2, 1)  # glTF matrices are column-major
+    bind = buffer.add(inverse.reshape(len(rest), 16).astype("f4"), gl.MAT4)
     return gl.Skin(
-        name="skeleton", joints=list(range(joints)), skeleton=0, inverseBindMatrices=bind
+        name="skeleton", joints=list(range(len(rest))), skeleton=0, inverseBindMatrices=bind
     )
 
 
 def _tracks(animation: Animation, buffer: GltfBuffer, name: str) -> gl.Animation:
     motion = animation.tracks[0]
-    frames, joints = motion.quaternions.shape[:2]
-    joints_move = np.ptp(motion.joint_translations[:, 1:], axis=0).max(initial=0.0) > 0
+    frames, bones = motion.quaternions.shape[:2]
+    roots = animation.skeleton.own[0]
+    bones_move = np.ptp(motion.joint_translations[:, roots + 1 :], axis=0).max(initial=0.0) > 1e-9
     times = buffer.add((np.arange(frames) / animation.rate_hz).astype("f4"), gl.SCALAR, bounds=True)
     tracks = gl.Animation(name=name, samplers=[], channels=[])
 
@@ -195,10 +210,10 @@ def _tracks(animation: Animation, buffer: GltfBuffer, name: str) -> gl.Animation
 
     quaternions = unit_float32(motion.quaternions)
     translations = motion.joint_translations.astype("f4")
-    for joint in range(joints):
-        track(joint, "rotation", quaternions[:, joint], gl.VEC4)
-        if joint == 0 or joints_move:
-            track(joint, "translation", translations[:, joint], gl.VEC3)
+    for bone in range(bones):
+        track(bone, "rotation", quaternions[:, bone], gl.VEC4)
+        if bone <= roots or bones_move:
+            track(bone, "translation", translations[:, bone], gl.VEC3)
     if motion.morph_weights.shape[1]:
-        track(joints, "weights", motion.morph_weights.astype("f4"), gl.SCALAR)
+        track(bones, "weights", motion.morph_weights.astype("f4"), gl.SCALAR)
     return tracks

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from habitus.body.recentred import recentred_arrays
 from habitus.body.skin import skin_mesh, skin_of, skin_tone
 from habitus.body.state import BodySurface
 from habitus.body.surface_files import write_surface
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
 from habitus.export.animation import Animation, body_at
 from habitus.export.bvh import write_bvh
 from habitus.export.correctives import check_correctives
@@ -24,9 +24,12 @@ from habitus.export.mot import write_mot
 from habitus.export.npz import check_npz_style, motion_arrays, write_amass, write_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
 from habitus.export.rates import at_rate
+from habitus.export.rigging import Bones
+from habitus.export.skeleton import check_axes
 from habitus.export.skins import write_painted_surface
 from habitus.export.trc import write_points
 from habitus.export.usd import ENDINGS, write_usd
+from habitus.export.vrm import write_vrm
 from habitus.fit.markers.result import MarkerFit
 from habitus.parallel.blocks import drop_pages
 from habitus.rotations import up_rotation
@@ -35,7 +38,7 @@ from habitus.rotations import up_rotation
 @dataclass(frozen=True)
 class WriteOptions:
     """What a file shall show of a motion: its blend shapes, its level of detail, of a still one
-    which frame, of an npz which style, and its skin.
+    which frame, of an npz which style, its skin, and its bones.
     """
 
     correctives: str = "auto"
@@ -44,6 +47,7 @@ class WriteOptions:
     npz_style: str = "habitus"
     face: bool = False
     skin: str | float | None = None
+    bones: Bones = field(default_factory=Bones)
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,7 @@ def _meshed(writer: Callable[..., Animation]) -> "_Writer":
         detail=wanted.detail,
         face=wanted.face,
         skin=wanted.skin,
+        bones=wanted.bones,
     )
 
 
@@ -126,7 +131,16 @@ _WRITERS: Mapping[str, tuple[_Writer, str]] = {
     ".glb": (_meshed(write_glb), "animated mesh"),
     ".fbx": (_meshed(write_fbx), "animated mesh"),
     **{ending: (_meshed(write_usd), "animated mesh") for ending in ENDINGS},
-    ".bvh": (lambda moving, path, wanted: write_bvh(moving, path), "skeleton"),
+    ".vrm": (
+        lambda moving, path, wanted: write_vrm(
+            moving, path, detail=wanted.detail, skin=wanted.skin, bones=wanted.bones
+        ),
+        "an avatar without motion",
+    ),
+    ".bvh": (
+        lambda moving, path, wanted: write_bvh(moving, path, wanted.bones.table),
+        "skeleton",
+    ),
     ".trc": (lambda moving, path, wanted: write_points(moving, path), "joints and markers"),
     ".mot": (lambda moving, path, wanted: write_mot(moving, path), "OpenSim's joint angles"),
     ".obj": (_still, "one mesh"),
@@ -138,7 +152,11 @@ _WRITERS: Mapping[str, tuple[_Writer, str]] = {
 }
 
 
-MESHES = (".glb", ".fbx", *ENDINGS, ".obj", ".ply", "")
+RIGGED = (".glb", ".fbx", *ENDINGS, ".vrm")
+"""Files with bones that have axes."""
+LIGHT = 40
+"""Blend shapes of correctives and soft tissue that a light file has, at most."""
+MESHES = (".glb", ".fbx", *ENDINGS, ".vrm", ".obj", ".ply", "")
 SKINNED = ", ".join(MESHES[:-1]) + ", a folder of OBJ"
 
 
@@ -153,6 +171,10 @@ def export_motion(
     npz_style: str = "habitus",
     face: bool = False,
     skin: str | float | None = None,
+    rig: str | None = None,
+    bones: str = "along",
+    root_bone: bool = False,
+    light: bool = False,
 ) -> Exported:
     """Write a fit or a motion as one file, by its ending, and say what was written.
 
@@ -170,8 +192,12 @@ def export_motion(
     a mesh has a blend shape for each of the face's units, with ARKit's names
     (`habitus.export.faces`). skin: of a mesh of the default bodies a tone, "light", "medium",
     "dark" or a number from 0 (light) to 1 (dark); by itself, "none", it is plain
-    (`habitus.body.skin`). Raises HabitusError for other endings and options, for a missing extra,
-    and where the file cannot be written.
+    (`habitus.body.skin`). rig: "mixamo", "manny", "humanoid", "vrm" or "rokoko", for bones by the
+    names, the hierarchy and the rest pose of these; bones: "along", with +y along each limb, or
+    "world", turned like the world at rest; root_bone: the pelvis hangs on a bone on the floor
+    (`habitus.export.rigging`). light: at most `LIGHT` blend shapes, beside the face's, those of the
+    largest effect in this motion. .vrm: the person at rest, without motion. Raises HabitusError for
+    other endings and options, for a missing extra, and where the file cannot be written.
     """
     target = Path(path)
     check_motion_path(target)
@@ -182,10 +208,13 @@ def export_motion(
     tone = skin_tone(skin)
     if tone is not None and target.suffix.lower() not in MESHES:
         raise HabitusError(f"{target.name}: skin is for files that hold a mesh ({SKINNED})")
+    made = _bones(target, rig, bones, root_bone)
+    if light:
+        correctives = _light(target, correctives)
     _check_finite(motion)
     moving = at_rate(motion, fps)
     written = _WRITERS[target.suffix.lower()][0](
-        moving, target, WriteOptions(correctives, detail, frame, npz_style, face, tone)
+        moving, target, WriteOptions(correctives, detail, frame, npz_style, face, tone, made)
     )
     frames = 1 if _WRITERS[target.suffix.lower()][0] is _still else len(moving.pose)
     mesh = skin_mesh(body_at(moving, detail).mesh) if tone is not None else None
@@ -201,6 +230,33 @@ def export_motion(
         drivers=write_drivers(written, target),
         elsewhere=written.morph_elsewhere,
     )
+
+
+def _bones(target: Path, rig: str | None, axes: str, root_bone: bool) -> Bones:
+    """Raises HabitusError for bones that the file cannot have."""
+    ending = target.suffix.lower()
+    if ending == ".vrm" and rig not in (None, "vrm"):
+        raise HabitusError(f"{target.name}: rig is {shown(rig)}; a .vrm has the bones of vrm")
+    made = Bones("vrm" if ending == ".vrm" else rig, axes, root_bone)
+    if ending in RIGGED or made == Bones():
+        check_axes(axes)
+        return replace(made, rig=made.table.name if made.table else None)
+    if ending == ".bvh" and made == Bones(rig):
+        return made if made.table else Bones()
+    raise HabitusError(
+        f"{target.name}: rig, bones and root_bone are for {', '.join(RIGGED)}, and rig for .bvh"
+    )
+
+
+def _light(target: Path, correctives: str) -> str:
+    """The blend shapes of a light file: as many directions as make `LIGHT`, forth and back."""
+    if target.suffix.lower() not in (".glb", ".fbx", *ENDINGS):
+        raise HabitusError(f"{target.name}: light is for .glb, .fbx and USD")
+    if correctives not in ("auto", "none"):
+        raise HabitusError(
+            f"light chooses the blend shapes itself; leave out correctives ({shown(correctives)})"
+        )
+    return correctives if correctives == "none" else f"pca:{LIGHT // 2}"
 
 
 def _check_finite(motion: Moving) -> None:

@@ -19,6 +19,7 @@ from habitus.body.surface_files import SKIN_COLOUR
 from habitus.errors import HabitusError, require_extra, shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.faces import face_weights, with_face
+from habitus.export.rigging import Bones, rigged
 from habitus.export.seams import polygons_of
 from habitus.export.skins import ROUGHNESS, painted, picture_beside, write_picture
 from habitus.files import atomic_write
@@ -44,6 +45,7 @@ def write_usd(
     detail: str = "full",
     face: bool = False,
     skin: str | float | None = None,
+    bones: Bones | None = None,
 ) -> Animation:
     """Write a motion as .usd, .usdc, .usda or .usdz, atomically; what was written comes back.
 
@@ -51,14 +53,16 @@ def write_usd(
     mesh (quads and texture coordinates where the body has them), a skeleton of the body's joints,
     and an animation of joints and blend shapes; the latter as for
     `habitus.export.fbx.write.write_fbx`. ``skin``: as for `habitus.export.glb.write_glb`; the
-    texture is in the .usdz, and beside the other files as ``…_skin.png``. Needs usd-core: ``pip
-    install 'habitus[usd]'``. Raises HabitusError where that is missing, for another skin, where
-    pose blend shapes are not linear in vec(R - I), and where the file cannot be written.
+    texture is in the .usdz, and beside the other files as ``…_skin.png``. ``bones``: as for
+    `habitus.export.rigging.rigged`, in names that USD allows (``mixamorig_Hips``). Needs usd-core:
+    ``pip install 'habitus[usd]'``. Raises HabitusError where that is missing, for another skin,
+    where pose blend shapes are not linear in vec(R - I), and where the file cannot be written.
     """
     require_extra("pxr", "USD files", "usd")
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
     if face:
         animation = with_face(animation, face_weights(fit))
+    animation = rigged(animation, bones or Bones())
     reach = _reach(fit)
     target = Path(path)
     covered = painted(animation, skin)
@@ -126,26 +130,19 @@ def _write_stage(
 
 
 def _skeleton(stage: Any, animation: Animation) -> list[str]:
-    """The skeleton at rest; the joints' paths."""
-    from pxr import Gf, UsdSkel
+    """The skeleton at rest; the bones' paths."""
+    from pxr import Gf, Tf, UsdSkel
 
     paths: list[str] = []
-    parents = animation.body.parents
-    places = animation.rest_joints
-    for name, parent in zip(animation.body.joint_names, parents, strict=True):
-        paths.append(f"{paths[parent]}/{name}" if parent >= 0 else name)
-    skeleton = UsdSkel.Skeleton.Define(stage, _SKELETON)
-    skeleton.CreateJointsAttr(paths)
-    skeleton.CreateBindTransformsAttr(
-        [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, place))) for place in places]
-    )
-    offsets = (
-        place - (places[parent] if parent >= 0 else 0.0)
-        for place, parent in zip(places, parents, strict=True)
-    )
-    skeleton.CreateRestTransformsAttr(
-        [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, each))) for each in offsets]
-    )
+    skeleton = animation.skeleton
+    for name, parent in zip(skeleton.names, skeleton.parents, strict=True):
+        valid = Tf.MakeValidIdentifier(name)
+        paths.append(f"{paths[parent]}/{valid}" if parent >= 0 else valid)
+    written = UsdSkel.Skeleton.Define(stage, _SKELETON)
+    written.CreateJointsAttr(paths)
+    # USD's matrices act on rows
+    written.CreateBindTransformsAttr([Gf.Matrix4d(rest.T) for rest in skeleton.rest])
+    written.CreateRestTransformsAttr([Gf.Matrix4d(local.T) for local in skeleton.local_rest])
     return paths
 
 
@@ -221,7 +218,7 @@ def _influences(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
     index = np.argsort(-weights, axis=1, kind="stable")[:, :count]
     value = np.take_along_axis(weights, index, axis=1)
     value = (value / value.sum(axis=1, keepdims=True)).astype(np.float32)
-    return np.where(value > 0, index, 0), value
+    return np.where(value > 0, animation.skeleton.own[index], 0), value
 
 
 def _blend_shapes(stage: Any, mesh: Any, animation: Animation) -> list[str]:

@@ -1,5 +1,6 @@
 """``habitus export``: a motion, or a person at rest, as a file for other programs."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.errors import HabitusError
 from habitus.export.motion import Exported, check_motion_path, export_motion
+from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.types import PathLike
 
@@ -24,17 +26,23 @@ def export_file(
     npz_style: str = "habitus",
     face: bool = False,
     skin: str | float | None = None,
+    rig: str | None = None,
+    bones: str = "along",
+    root_bone: bool = False,
+    light: bool = False,
 ) -> Exported:
     """Write a fit, a motion, or the npz of one as the format that the ending of ``to`` names.
 
     The formats are those of `habitus.export.motion.export_motion`. A person without a motion (the
     npz of ``habitus body``, a body model, or "neutral", "female", "male" for the mean person) gives
-    a rig: two frames at rest, standing on the ground, +y up. body: the model that the betas belong
+    a rig: two frames at rest, standing on the ground, +y up; with ``rig`` and as .vrm it has the
+    joints of fingers, jaw and eyes. body: the model that the betas belong
     to, where the file names no shipped one. Raises HabitusError.
     """
     check_motion_path(to)
+    with_fingers = rig is not None or Path(to).suffix.lower() == ".vrm"
     return export_motion(
-        read_moving(source, body),
+        read_moving(source, body, with_fingers=with_fingers),
         to,
         fps=fps,
         correctives=correctives,
@@ -43,13 +51,23 @@ def export_file(
         npz_style=npz_style,
         face=face,
         skin=skin,
+        rig=rig,
+        bones=bones,
+        root_bone=root_bone,
+        light=light,
     )
 
 
-def read_moving(source: Moving | PathLike, body: BodyModel | PathLike | None = None) -> Moving:
+def read_moving(
+    source: Moving | PathLike,
+    body: BodyModel | PathLike | None = None,
+    *,
+    with_fingers: bool = False,
+) -> Moving:
     """The motion of a source that `open_person` reads, with its markers where it is a fit's.
 
-    A `Moving` is returned unchanged; a person without a motion stands at rest. Raises HabitusError.
+    A `Moving` is returned unchanged; a person without a motion stands at rest. with_fingers: of a
+    shipped body, with joints of fingers, jaw and eyes. Raises HabitusError.
     """
     if isinstance(source, Moving):
         return source
@@ -61,4 +79,16 @@ def read_moving(source: Moving | PathLike, body: BodyModel | PathLike | None = N
     if isinstance(person, BodyModel):
         name = Path(source).stem
         person = BodyShape(name, person, np.zeros(person.num_betas), str(source))
-    return person.standing() if isinstance(person, BodyShape) else person
+    if not isinstance(person, BodyShape):
+        return person
+    return (_with_fingers(person) if with_fingers else person).standing()
+
+
+def _with_fingers(person: BodyShape) -> BodyShape:
+    """The person with all joints of the shipped body, where that is its body."""
+    body = person.body
+    if body.name not in SHIPPED:
+        return person
+    whole = load_body(body.name, joints="smplx", num_betas=body.num_betas)
+    same = np.array_equal(whole.v_template, body.v_template)
+    return replace(person, body=whole) if same else person

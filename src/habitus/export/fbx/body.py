@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from habitus.body.surface_files import SKIN_COLOUR
 from habitus.export.animation import Animation
@@ -16,13 +17,14 @@ _SKINNING = {"lbs": "Linear", "dqbs": "DualQuaternion"}
 
 
 def add_skeleton(objects: Objects, animation: Animation) -> list[np.int64]:
-    """A limb a joint, as the person rests."""
+    """A limb a bone, as the person rests: its axes are a PreRotation, so that it rests unturned."""
     models: list[np.int64] = []
-    parents = animation.body.parents
-    places = CM * animation.rest_joints
-    for joint, (name, parent) in enumerate(zip(animation.body.joint_names, parents, strict=True)):
-        offset = places[joint] - (places[parent] if parent >= 0 else 0.0)
-        model = objects.add("Model", name, "LimbNode", _model_nodes(offset))
+    skeleton = animation.skeleton
+    rows = zip(skeleton.names, skeleton.parents, skeleton.local_rest, strict=True)
+    for name, parent, local in rows:
+        axes = Rotation.from_matrix(local[:3, :3]).as_euler("xyz", degrees=True)
+        nodes = _model_nodes(CM * local[:3, 3], axes)
+        model = objects.add("Model", name, "LimbNode", nodes)
         form = [props(prop("Size", "double", "Number", "", 3.0)), Node("TypeFlags", ("Skeleton",))]
         objects.link(objects.add("NodeAttribute", name, "LimbNode", form), model)
         objects.link(model, models[parent] if parent >= 0 else ROOT)
@@ -83,20 +85,17 @@ def add_skin(
     )
     objects.link(skin, geometry)
     weights = animation.body.skinning_weights
-    binds = [_matrix(CM * joint) for joint in animation.rest_joints]
+    binds = [_matrix(rest) for rest in animation.skeleton.rest]
     weights = weights / weights.sum(axis=1, keepdims=True)
-    for joint, limb in enumerate(limbs):
+    for joint, bone in enumerate(animation.skeleton.own):
         carried = np.flatnonzero(weights[:, joint])
         if len(carried):
-            nodes = _cluster_nodes(
-                carried, weights[carried, joint], CM * animation.rest_joints[joint]
-            )
-            cluster = objects.add(
-                "Deformer", animation.body.joint_names[joint], "Cluster", nodes, "SubDeformer"
-            )
+            nodes = _cluster_nodes(carried, weights[carried, joint], animation.skeleton.rest[bone])
+            name = animation.skeleton.names[bone]
+            cluster = objects.add("Deformer", name, "Cluster", nodes, "SubDeformer")
             objects.link(cluster, skin)
-            objects.link(limb, cluster)
-    posed = [(mesh, _matrix(np.zeros(3))), *zip(limbs, binds, strict=True)]
+            objects.link(limbs[bone], cluster)
+    posed = [(mesh, _matrix(np.eye(4))), *zip(limbs, binds, strict=True)]
     pose = [
         Node("PoseNode", (), [Node("Node", (number,)), Node("Matrix", (bind,))])
         for number, bind in posed
@@ -127,15 +126,23 @@ def add_channels(objects: Objects, animation: Animation, geometry: np.int64) -> 
     return channels
 
 
-def _model_nodes(offset: Float[np.ndarray, " 3"]) -> list[Node]:
+def _model_nodes(
+    offset: Float[np.ndarray, " 3"], axes: Float[np.ndarray, " 3"] | None = None
+) -> list[Node]:
     placed = prop("Lcl Translation", "Lcl Translation", "", "A", *map(float, offset))
     turned = prop("Lcl Rotation", "Lcl Rotation", "", "A", 0.0, 0.0, 0.0)
     scaled = prop("Lcl Scaling", "Lcl Scaling", "", "A", 1.0, 1.0, 1.0)
     which = prop("DefaultAttributeIndex", "int", "Integer", "", 0)
     inherit = prop("InheritType", "enum", "", "", 1)
+    before = (
+        [prop("PreRotation", "Vector3D", "Vector", "", *map(float, axes))]
+        if axes is not None and axes.any()
+        else []
+    )
+    active = prop("RotationActive", "bool", "", "", 1)
     return [
         Node("Version", (232,)),
-        props(prop("RotationActive", "bool", "", "", 1), inherit, which, placed, turned, scaled),
+        props(active, *before, inherit, which, placed, turned, scaled),
         Node("Shading", (True,)),
         Node("Culling", ("CullingOff",)),
     ]
@@ -203,14 +210,14 @@ def _material_nodes(textured: bool) -> list[Node]:
     ]
 
 
-def _cluster_nodes(carried: np.ndarray, weights: np.ndarray, joint: np.ndarray) -> list[Node]:
+def _cluster_nodes(carried: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> list[Node]:
     return [
         Node("Version", (100,)),
         Node("UserData", ("", "")),
         Node("Indexes", (carried.astype(np.int32),)),
         Node("Weights", (_rounded(weights),)),
-        Node("Transform", (_matrix(-joint),)),
-        Node("TransformLink", (_matrix(joint),)),
+        Node("Transform", (_matrix(np.linalg.inv(rest)),)),
+        Node("TransformLink", (_matrix(rest),)),
     ]
 
 
@@ -230,8 +237,8 @@ def _rounded(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32).astype(np.float64)
 
 
-def _matrix(place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 16"]:
-    """A place as FBX writes transforms, column after column."""
-    matrix = np.eye(4)
-    matrix[3, :3] = place
+def _matrix(rest: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 16"]:
+    """A transform (m) as FBX writes it, in cm, column after column."""
+    matrix = rest.T.copy()
+    matrix[3, :3] *= CM
     return matrix.reshape(-1)

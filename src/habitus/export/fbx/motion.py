@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from habitus.export.animation import Animation
 from habitus.export.euler import continuous_angles
@@ -84,16 +85,30 @@ def add_motion(
     """One take: joints turn and, where shape moves them, move; blend channels rise and fall."""
     track = animation.tracks[0]
     curves = Curves(objects, take, len(track.quaternions), animation.rate_hz)
-    angles = continuous_angles(track.quaternions, "xyz")
+    local = animation.skeleton.local_rest
+    angles = continuous_angles(_from_rest(track.quaternions, local[:, :3, :3]), "xyz")
     places = CM * track.joint_translations
-    joints = CM * animation.rest_joints
-    for joint, limb in enumerate(limbs):
-        parent = animation.body.parents[joint]
-        rest = joints[joint] - (joints[parent] if parent >= 0 else 0.0)
-        curves.add(limb, "Lcl Translation", "T", "XYZ", places[:, joint], rest)
-        curves.add(limb, "Lcl Rotation", "R", "XYZ", angles[:, joint], np.zeros(3))
+    for bone, limb in enumerate(limbs):
+        rest = CM * local[bone, :3, 3]
+        curves.add(limb, "Lcl Translation", "T", "XYZ", places[:, bone], rest)
+        curves.add(limb, "Lcl Rotation", "R", "XYZ", angles[:, bone], np.zeros(3))
     for channel, weights in zip(channels, track.morph_weights.T, strict=True):
         percent = 100.0 * weights[:, None]
         curves.add(
             channel, "DeformPercent", "DeformPercent", ["DeformPercent"], percent, np.zeros(1)
         )
+
+
+def _from_rest(
+    quaternions: Float[np.ndarray, "T N 4"], rest: Float[np.ndarray, "N 3 3"]
+) -> Float[np.ndarray, "T N 4"]:
+    """How bones are turned after their PreRotation."""
+    if np.array_equal(rest, np.broadcast_to(np.eye(3), rest.shape)):
+        return quaternions
+    before = Rotation.from_matrix(rest).inv().as_quat()
+    turns = Rotation.from_quat(np.tile(before, (len(quaternions), 1, 1)).reshape(-1, 4))
+    return (
+        (turns * Rotation.from_quat(quaternions.reshape(-1, 4)))
+        .as_quat()
+        .reshape(quaternions.shape)
+    )

@@ -12,6 +12,7 @@ from habitus.export.fbx.body import add_channels, add_mesh, add_skeleton, add_sk
 from habitus.export.fbx.motion import add_motion
 from habitus.export.fbx.nodes import document
 from habitus.export.fbx.scene import Objects, top_nodes
+from habitus.export.rigging import Bones, rigged
 from habitus.export.skins import painted
 from habitus.files import atomic_write
 
@@ -27,12 +28,13 @@ def write_fbx(
     detail: str = "full",
     face: bool = False,
     skin: str | float | None = None,
+    bones: Bones | None = None,
 ) -> Animation:
     """Write a motion as one binary .fbx, atomically; what was written comes back.
 
     Centimetres, +y up, the motion's own rate, one take with the capture's name. The mesh is the
     shaped body at rest, quads and texture coordinates where the body has them; the skeleton's limbs
-    are the body's joints under their names, all at rest turned like the world. Pose blend shapes
+    are the body's joints, with ``bones`` as for `habitus.export.rigging.rigged`. Pose blend shapes
     and soft tissue are blend channels between 0 and 100 percent (``correctives``:
     `habitus.export.correctives.morphs_of`), forth and back where they go both ways; with soft
     tissue joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted.
@@ -44,6 +46,7 @@ def write_fbx(
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
     if face:
         animation = with_face(animation, face_weights(fit))
+    animation = rigged(animation, bones or Bones(), loose=True)
     take = shown(fit.capture_name, 200)
     objects = Objects()
     limbs = add_skeleton(objects, animation)
