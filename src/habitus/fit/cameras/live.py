@@ -57,8 +57,8 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
     }
 )
 LIMITS = QualityLimits(Bound(40.0, 80.0), Bound(150.0, 300.0), 0.15, 0.4, SENTENCES)
-"""Detectors are off by 1 % of the person's height; chosen on made scenes and their spoilt
-copies."""
+"""Detectors are off by 1 % of the person's height; chosen on a few made scenes, not
+yet judged on spoilt ones."""
 SILENT = 0.02
 """Share of its detections below which a camera is named."""
 
