@@ -58,6 +58,7 @@ NAMES = (
     "robot.xml",
     "robot.urdf",
     "pairs.toml",
+    "motion.bvh",
     "calibration.toml",
     "calibration.qca.txt",
     "calibration.xcp",

@@ -13,6 +13,8 @@ from habitus.jobs.options import metavar, unset
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from habitus.body.motion import BodyMotion
+
 
 @dataclass(frozen=True)
 class Retarget:
@@ -29,7 +31,9 @@ class Retarget:
     """
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz in AMASS's style."""
+    """A fit's body.npz, a motion that habitus wrote, an npz in AMASS's style, or the motion of any
+    person's skeleton (bvh, glb).
+    """
     out: Annotated[Path, metavar("FILE.npz|glb|csv|pkl|FOLDER")]
     """File for the motion; a folder receives an OBJ for each frame. A robot's is .npz, .csv or
     .pkl, and a page (.html) and numbers (.json) go beside it.
@@ -49,7 +53,9 @@ class Retarget:
     robot_style: Literal["habitus", "loco-mujoco", "isaac-lab"] = "habitus"
     """Form of a robot's npz."""
     body: Annotated[str | None, unset("FILE")] = None
-    """The body model of the source, where it names no bundled one."""
+    """The body model of the source, where it names no bundled one; of a skeleton's motion the body
+    or the person (npz) that moves.
+    """
 
 
 OPTIONS = Retarget
@@ -66,9 +72,11 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
     if options.target is None or options.robot is not None:
         raise HabitusError("expected one of --target and --robot: another body, or a robot")
     _check_unused(options)
-    from habitus.jobs.motions import retarget
+    from habitus.jobs.motions import motion_of, retarget
 
-    retargeted = retarget(options.source, options.target, body=options.body, out=options.out)
+    source = motion_of(options.source, options.body)
+    _say_reading(options, source, console)
+    retargeted = retarget(source, options.target, out=options.out)
     slip, below = ([1e3 * value for value in each] for each in (retargeted.slip, retargeted.below))
     say(console, f"legs are {retargeted.scale:.2f} times as long, and so is the way", "note")
     if retargeted.standing:
@@ -84,6 +92,13 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
         f"{retargeted.motion.num_frames} frames of {plain(retargeted.motion.body_name)}, "
         f"{plain(options.out)}",
     )
+
+
+def _say_reading(options: Retarget, motion: "BodyMotion", console: "Console") -> None:
+    from habitus.jobs.exporting import reading_notes
+
+    for note in reading_notes(options.source, motion):
+        say(console, plain(note), "note")
 
 
 def _check_unused(options: Retarget) -> None:
@@ -107,6 +122,7 @@ def _to_robot(options: Retarget, console: "Console") -> None:
         out=options.out,
         style=options.robot_style,
     )
+    _say_reading(options, made.source, console)
     quality = made.quality
     say(console, f"places are scaled by {made.result.scale:.2f}, as the robot's legs are", "note")
     say(

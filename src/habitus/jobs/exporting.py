@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.motion import Moving
+from habitus.body.motion import BodyMotion, Moving
 from habitus.errors import HabitusError
 from habitus.export.motion import Exported, check_motion_path, export_motion
+from habitus.io.motions.open import ENDINGS as RIG_ENDINGS
 from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.types import PathLike
 
@@ -62,3 +63,11 @@ def read_moving(source: Moving | PathLike, body: BodyModel | PathLike | None = N
         name = Path(source).stem
         person = BodyShape(name, person, np.zeros(person.num_betas), str(source))
     return person.standing() if isinstance(person, BodyShape) else person
+
+
+def reading_notes(source: PathLike, moving: Moving) -> tuple[str, ...]:
+    """What was decided in reading somebody else's skeleton, in sentences; nothing of other
+    sources.
+    """
+    foreign = Path(source).suffix.lower() in RIG_ENDINGS
+    return moving.made if foreign and isinstance(moving, BodyMotion) else ()
