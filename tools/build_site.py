@@ -75,6 +75,7 @@ MENU = {
         "exporting",
         "in-your-program",
         "exaggerating-and-retargeting",
+        "motion-in",
         "robots",
         "amass",
     ),

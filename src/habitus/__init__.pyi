@@ -33,6 +33,7 @@ from habitus.jobs.register import register_scans as register_scans
 from habitus.jobs.results import load_fit as load_fit
 from habitus.jobs.results import load_motion as load_motion
 from habitus.jobs.rgbd import fit_rgbd as fit_rgbd
+from habitus.jobs.characters import retarget_to_character as retarget_to_character
 from habitus.jobs.robots import retarget_to_robot as retarget_to_robot
 from habitus.jobs.selection import select_markers as select_markers
 from habitus.jobs.selection import select_poses as select_poses

@@ -31,7 +31,7 @@ Frame Time: 0.00833333
 
 def motion_makers() -> tuple[Callable[[Path], list[Target]], ...]:
     """What makes the targets, each in a folder of its own."""
-    return (_motions,)
+    return _motions, _characters
 
 
 def _check(motion) -> None:
@@ -50,3 +50,18 @@ def _read_bvh(path: Path) -> None:
 
 def _motions(_: Path) -> list[Target]:
     return [alone("motion.bvh", _read_bvh, BVH)]
+
+
+def _read_gltf(path: Path) -> None:
+    from habitus.export.character import skin_of
+    from habitus.io.motions.gltf import read_gltf, read_gltf_motion
+
+    _check(read_gltf_motion(path))
+    assert np.isfinite(skin_of(read_gltf(path)).vertices).all()
+
+
+def _characters(folder: Path) -> list[Target]:
+    from made_character import write_character
+
+    write_character(folder / "a.glb", step=40)
+    return [alone("motion.glb", _read_gltf, (folder / "a.glb").read_bytes())]

@@ -59,6 +59,7 @@ NAMES = (
     "robot.urdf",
     "pairs.toml",
     "motion.bvh",
+    "motion.glb",
     "calibration.toml",
     "calibration.qca.txt",
     "calibration.xcp",

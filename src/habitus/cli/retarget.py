@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from habitus.cli.screen import plain, say, screen
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, listed
 from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
@@ -25,7 +25,9 @@ class Retarget:
 
     habitus retarget results/walk/body.npz --target female --out her_walk.npz
 
-    habitus retarget results/walk/body.npz --robot g1.xml --out walk_g1.npz
+    habitus retarget results/walk/body.npz --target rigged.glb --out rigged_walk.glb
+
+    habitus retarget walk.bvh --robot g1.xml --out walk_g1.npz
 
     See `docs/exaggerating-and-retargeting.md` and `docs/robots.md`.
     """
@@ -39,8 +41,8 @@ class Retarget:
     .pkl, and a page (.html) and numbers (.json) go beside it.
     """
     target: Annotated[str | None, unset("FILE|BETAS|NAME")] = None
-    """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral,
-    female, male.
+    """A person (npz), a mesh of the body's topology (obj, ply), any rigged character (glb, gltf,
+    vrm), betas (1.5,-0.5), or neutral, female, male.
     """
     robot: Annotated[Path | None, unset("FILE.xml|urdf")] = None
     """A humanoid robot, MJCF or URDF, in place of a target."""
@@ -58,9 +60,11 @@ class Retarget:
     """
 
 
+SLIP = 0.003
+"""Metres a second of feet that stand, above which a viewer sees them slip."""
 OPTIONS = Retarget
 ABOUT = Retarget.__doc__
-NEEDS = ("habitus.jobs.motions", "habitus.jobs.robots")
+NEEDS = ("habitus.jobs.motions", "habitus.jobs.robots", "habitus.jobs.characters")
 
 
 def run(options: Retarget, console: "Console | None" = None) -> None:
@@ -72,10 +76,14 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
     if options.target is None or options.robot is not None:
         raise HabitusError("expected one of --target and --robot: another body, or a robot")
     _check_unused(options)
+    from habitus.jobs.characters import is_character
     from habitus.jobs.motions import motion_of, retarget
 
     source = motion_of(options.source, options.body)
     _say_reading(options, source, console)
+    if is_character(options.target):
+        _to_character(options, source, console)
+        return
     retargeted = retarget(source, options.target, out=options.out)
     slip, below = ([1e3 * value for value in each] for each in (retargeted.slip, retargeted.below))
     say(console, f"legs are {retargeted.scale:.2f} times as long, and so is the way", "note")
@@ -107,6 +115,27 @@ def _check_unused(options: Retarget) -> None:
     for name, value in given.items():
         if value is not None:
             raise HabitusError(f"{name} goes with --robot; leave it out with --target")
+
+
+def _to_character(options: Retarget, source: "BodyMotion", console: "Console") -> None:
+    from habitus.jobs.characters import retarget_to_character
+
+    moved = retarget_to_character(source, str(options.target), out=options.out)
+    match = moved.character.match
+    say(console, f"joints by {plain(match.how)}; {plain(moved.character.notes[-1])}", "note")
+    if match.unmatched:
+        say(console, f"not matched, kept still: {plain(listed(match.unmatched, 12))}", "note")
+    say(console, f"the way is scaled by {moved.scale:.2f}, as the character's legs are", "note")
+    say(
+        console,
+        f"feet stand for {moved.standing:.1f} s and slip by {1e3 * moved.slip[0]:.1f} mm/s (at "
+        f"most {1e3 * moved.slip[1]:.0f}); lowest point {1e3 * moved.below[1]:.0f} mm from the "
+        f"ground (source {1e3 * moved.below[0]:.0f})",
+        "note",
+    )
+    if moved.slip[0] > SLIP:
+        say(console, "feet slip: legs do not reach where the source's stand", mark="doubtful")
+    say(console, f"{moved.motion.num_frames} frames, {plain(options.out)}")
 
 
 def _to_robot(options: Retarget, console: "Console") -> None:

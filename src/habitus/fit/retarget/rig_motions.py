@@ -239,7 +239,7 @@ def planted(
     soles = find_soles(body, settings.contacts)
     rest = body.rest_vertices(plain.betas)
     heights = soles.means(rest[None, soles.used])[0, ..., 1] - rest[:, 1].min()
-    rise = np.where(np.abs(feet.rise) < LEVEL, 0.0, feet.rise)
+    rise = np.sign(feet.rise) * np.maximum(np.abs(feet.rise) - LEVEL, 0.0)
     targets = np.zeros((*feet.still.shape, 3))
     targets[..., 1] = feet.ground + heights + scale * rise
     least = np.broadcast_to(feet.ground + np.asarray(below), (plain.num_frames,))
@@ -249,7 +249,9 @@ def planted(
 def stand_slip(
     motion: BodyMotion, soles: Soles, still: Bool[np.ndarray, "T 2 P"]
 ) -> Float[np.ndarray, " n"]:
-    """Speeds (m/s), frame by frame, of the point of each sole on which the foot stands."""
+    """Horizontal speeds (m/s), frame by frame, of the point of each sole on which the foot
+    stands.
+    """
     points = soles.means(motion.points(soles.used))
     speeds = [np.zeros(0)]
     for side in range(points.shape[1]):
@@ -257,5 +259,5 @@ def stand_slip(
             frames = np.arange(stand.first, stand.last)
             same = stand.active[:-1]
             way = points[frames + 1, side, same] - points[frames, side, same]
-            speeds.append(np.linalg.norm(way, axis=-1) * motion.rate_hz)
+            speeds.append(np.hypot(way[:, 0], way[:, 2]) * motion.rate_hz)
     return np.concatenate(speeds)
