@@ -31,7 +31,7 @@ Frame Time: 0.00833333
 
 def motion_makers() -> tuple[Callable[[Path], list[Target]], ...]:
     """What makes the targets, each in a folder of its own."""
-    return _motions, _characters
+    return _skeletons, _characters
 
 
 def _check(motion) -> None:
@@ -48,7 +48,7 @@ def _read_bvh(path: Path) -> None:
     _check(read_bvh(path))
 
 
-def _motions(_: Path) -> list[Target]:
+def _skeletons(_: Path) -> list[Target]:
     return [alone("motion.bvh", _read_bvh, BVH)]
 
 
