@@ -2,6 +2,8 @@
 character's file held is in it still.
 """
 
+import json
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +16,7 @@ from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
 from habitus.export.glb import write_glb
 from habitus.fit.retarget.recipe import turned
+from habitus.fit.retarget.rig_names import VRM_PARTS
 from habitus.io.models.bodies import load_body
 from habitus.io.motions.gltf import read_gltf_motion
 from habitus.io.people import read_motion
@@ -62,11 +65,12 @@ def _places(path, names=MIXAMO) -> dict[str, np.ndarray]:
 
 def _last_animation_first(path) -> None:
     """Put the last animation in the place of the first, for readers of the first one."""
-    import json
-    import struct
-
     document, data = parts_of(path)
     document["animations"] = document["animations"][::-1]
+    _write(path, document, data)
+
+
+def _write(path, document: dict, data: bytes) -> None:
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(data))
@@ -139,6 +143,18 @@ def test_names_that_say_nothing_give_the_same_motion(walk, tmp_path):
     order = [other.body.joint_names.index(n) for n in first.body.joint_names if n in MIXAMO]
     own = [first.body.joint_names.index(n) for n in first.body.joint_names if n in MIXAMO]
     np.testing.assert_allclose(other.joints()[:, order], first.joints()[:, own], atol=1e-3)
+
+
+def test_a_vrm_names_its_bones_itself(walk, tmp_path):
+    write_character(tmp_path / "a.glb", {ours: f"b{k}" for k, ours in enumerate(MIXAMO)})
+    document, data = parts_of(tmp_path / "a.glb")
+    nodes = {ours: 2 + k for k, ours in enumerate(walk.body.joint_names)}
+    bones = {theirs: {"node": nodes[ours]} for theirs, ours in VRM_PARTS.items() if ours in nodes}
+    document["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": bones}}}
+    _write(tmp_path / "a.vrm", document, data)
+    moved = retarget_to_character(walk, tmp_path / "a.vrm", out=tmp_path / "b.vrm")
+    assert moved.character.match.how == "the file's own list of bones"
+    assert parts_of(tmp_path / "b.vrm")[0]["extensions"] == document["extensions"]
 
 
 def test_our_own_character_comes_back_as_a_motion(walk, tmp_path):

@@ -253,7 +253,9 @@ def _roles(file: GltfFile) -> list[tuple[str, int]]:
         pairs = [(name, each.get("node")) for name, each in bones.items()]
     else:
         pairs = [(each.get("bone"), each.get("node")) for each in bones]
-    return [(VRM_PARTS[name], node) for name, node in pairs if name in VRM_PARTS]
+    return [
+        (VRM_PARTS[name], node) for name, node in pairs if name in VRM_PARTS and type(node) is int
+    ]
 
 
 # -- animations ------------------------------------------------------------------------------------
