@@ -63,6 +63,7 @@ def motions(fit: MarkerResult) -> None:
     assert_type(hb.gait(fit, "walk.c3d", mass=70.0), GaitResult)
     hb.exaggerate(fit, 2.0)
     hb.retarget(fit, "female")
+    print(hb.retarget_to_character(fit, "character.glb", out="moved.glb").slip)
     hb.retarget_to_robot(fit, "g1.xml", out="g1.npz").save("g1.csv")
     hb.simulate_soft_tissue(fit.body, fit.betas, fit.pose, fit.trans, fit.rate_hz)
     hb.virtual_markers(fit, "cmu-41")

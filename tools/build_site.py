@@ -76,6 +76,7 @@ MENU = {
         "exporting",
         "in-your-program",
         "exaggerating-and-retargeting",
+        "motion-in",
         "robots",
         "amass",
     ),

@@ -18,6 +18,7 @@ from habitus.io.registrations.open import open_registrations as open_registratio
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive
 from habitus.jobs.cameras import fit_cameras as fit_cameras
+from habitus.jobs.characters import retarget_to_character as retarget_to_character
 from habitus.jobs.comparing import compare as compare
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate

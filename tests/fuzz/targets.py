@@ -16,6 +16,7 @@ import numpy as np
 from camera_targets import camera_makers
 from gait_targets import gait_makers
 from measurement_targets import measurement_makers
+from motion_targets import motion_makers
 from result_targets import result_makers
 from robot_targets import robot_makers
 from sensor_targets import sensor_makers
@@ -34,6 +35,7 @@ def all_targets() -> tuple[Target, ...]:
         *sensor_makers(),
         *gait_makers(),
         *robot_makers(),
+        *motion_makers(),
         *camera_makers(),
         *result_makers(),
         *measurement_makers(),

@@ -59,6 +59,8 @@ NAMES = (
     "robot.xml",
     "robot.urdf",
     "pairs.toml",
+    "motion.bvh",
+    "motion.glb",
     "calibration.toml",
     "calibration.qca.txt",
     "calibration.xcp",

@@ -31,8 +31,9 @@ class Export:
     """
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
-    """A fit's body.npz or its folder, a motion that habitus wrote, or an npz in AMASS's style; for
-    a rig at rest a person's npz, or neutral, female, male.
+    """A fit's body.npz or its folder, a motion that habitus wrote, an npz in AMASS's style, or the
+    motion of any person's skeleton (bvh, glb); for a rig at rest a person's npz, or neutral,
+    female, male.
     """
     out: Annotated[Path, metavar("FILE")]
     """Output file; the ending selects the format."""
@@ -63,7 +64,9 @@ class Export:
     light: bool = False
     """At most 40 blend shapes, beside the face's, for game engines."""
     body: Annotated[str | None, unset("FILE")] = None
-    """The body model of the source, where it names no bundled one."""
+    """The body model of the source, where it names no bundled one; of a skeleton's motion the body
+    or the person (npz) that moves.
+    """
 
 
 OPTIONS = Export
@@ -73,13 +76,15 @@ NEEDS = ("habitus.jobs.exporting",)
 
 def run(options: Export, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
-    from habitus.jobs.exporting import export_file
+    from habitus.jobs.exporting import export_file, read_moving, reading_notes
 
     console = console or screen()
+    moving = read_moving(options.source, options.body)
+    for note in reading_notes(options.source, moving):
+        say(console, plain(note), "note")
     exported = export_file(
-        options.source,
+        moving,
         options.out,
-        body=options.body,
         fps=options.fps,
         correctives=options.bake_correctives,
         detail=options.detail,

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from habitus.cli.screen import plain, say, screen
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, listed
 from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from habitus.body.motion import BodyMotion
 
 
 @dataclass(frozen=True)
@@ -23,20 +25,24 @@ class Retarget:
 
     habitus retarget results/walk/body.npz --target female --out her_walk.npz
 
-    habitus retarget results/walk/body.npz --robot g1.xml --out walk_g1.npz
+    habitus retarget results/walk/body.npz --target rigged.glb --out rigged_walk.glb
+
+    habitus retarget walk.bvh --robot g1.xml --out walk_g1.npz
 
     See `docs/exaggerating-and-retargeting.md` and `docs/robots.md`.
     """
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz in AMASS's style."""
+    """A fit's body.npz, a motion that habitus wrote, an npz in AMASS's style, or the motion of any
+    person's skeleton (bvh, glb).
+    """
     out: Annotated[Path, metavar("FILE.npz|glb|csv|pkl|FOLDER")]
     """File for the motion; a folder receives an OBJ for each frame. A robot's is .npz, .csv or
     .pkl, and a page (.html) and numbers (.json) go beside it.
     """
     target: Annotated[str | None, unset("FILE|BETAS|NAME")] = None
-    """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral,
-    female, male.
+    """A person (npz), a mesh of the body's topology (obj, ply), any rigged character (glb, gltf,
+    vrm), betas (1.5,-0.5), or neutral, female, male.
     """
     robot: Annotated[Path | None, unset("FILE.xml|urdf")] = None
     """A humanoid robot, MJCF or URDF, in place of a target."""
@@ -49,12 +55,16 @@ class Retarget:
     robot_style: Literal["habitus", "loco-mujoco", "isaac-lab"] = "habitus"
     """Form of a robot's npz."""
     body: Annotated[str | None, unset("FILE")] = None
-    """The body model of the source, where it names no bundled one."""
+    """The body model of the source, where it names no bundled one; of a skeleton's motion the body
+    or the person (npz) that moves.
+    """
 
 
+SLIP = 0.003
+"""Metres a second of feet that stand, above which a viewer sees them slip."""
 OPTIONS = Retarget
 ABOUT = Retarget.__doc__
-NEEDS = ("habitus.jobs.motions", "habitus.jobs.robots")
+NEEDS = ("habitus.jobs.motions", "habitus.jobs.robots", "habitus.jobs.characters")
 
 
 def run(options: Retarget, console: "Console | None" = None) -> None:
@@ -66,9 +76,15 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
     if options.target is None or options.robot is not None:
         raise HabitusError("expected one of --target and --robot: another body, or a robot")
     _check_unused(options)
-    from habitus.jobs.motions import retarget
+    from habitus.jobs.characters import is_character
+    from habitus.jobs.motions import motion_of, retarget
 
-    retargeted = retarget(options.source, options.target, body=options.body, out=options.out)
+    source = motion_of(options.source, options.body)
+    _say_reading(options, source, console)
+    if is_character(options.target):
+        _to_character(options, source, console)
+        return
+    retargeted = retarget(source, options.target, out=options.out)
     slip, below = ([1e3 * value for value in each] for each in (retargeted.slip, retargeted.below))
     say(console, f"legs are {retargeted.scale:.2f} times as long, and so is the way", "note")
     if retargeted.standing:
@@ -86,12 +102,40 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
     )
 
 
+def _say_reading(options: Retarget, motion: "BodyMotion", console: "Console") -> None:
+    from habitus.jobs.exporting import reading_notes
+
+    for note in reading_notes(options.source, motion):
+        say(console, plain(note), "note")
+
+
 def _check_unused(options: Retarget) -> None:
     """Refuse what only a robot takes."""
     given = {"--pairs": options.pairs, "--fps": options.fps}
     for name, value in given.items():
         if value is not None:
             raise HabitusError(f"{name} goes with --robot; leave it out with --target")
+
+
+def _to_character(options: Retarget, source: "BodyMotion", console: "Console") -> None:
+    from habitus.jobs.characters import retarget_to_character
+
+    moved = retarget_to_character(source, str(options.target), out=options.out)
+    match = moved.character.match
+    say(console, f"joints by {plain(match.how)}; {plain(moved.character.notes[-1])}", "note")
+    if match.unmatched:
+        say(console, f"not matched, kept still: {plain(listed(match.unmatched, 12))}", "note")
+    say(console, f"the way is scaled by {moved.scale:.2f}, as the character's legs are", "note")
+    say(
+        console,
+        f"feet stand for {moved.standing:.1f} s and slip by {1e3 * moved.slip[0]:.1f} mm/s (at "
+        f"most {1e3 * moved.slip[1]:.0f}); lowest point {1e3 * moved.below[1]:.0f} mm from the "
+        f"ground (source {1e3 * moved.below[0]:.0f})",
+        "note",
+    )
+    if moved.slip[0] > SLIP:
+        say(console, "feet slip: legs do not reach where the source's stand", mark="doubtful")
+    say(console, f"{moved.motion.num_frames} frames, {plain(options.out)}")
 
 
 def _to_robot(options: Retarget, console: "Console") -> None:
@@ -107,6 +151,7 @@ def _to_robot(options: Retarget, console: "Console") -> None:
         out=options.out,
         style=options.robot_style,
     )
+    _say_reading(options, made.source, console)
     quality = made.quality
     say(console, f"places are scaled by {made.result.scale:.2f}, as the robot's legs are", "note")
     say(

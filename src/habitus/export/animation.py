@@ -138,7 +138,7 @@ def animate(
     world = up_rotation(fit.up_axis)
     tracks = (
         Track(
-            _continuous(turned_root(m.quaternions, world)),
+            continuous_quaternions(turned_root(m.quaternions, world)),
             _joint_translations(body, joints, m, world),
             w,
         )
@@ -203,7 +203,7 @@ def local_quaternions(pose: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T 
     return Rotation.from_rotvec(pose.reshape(-1, 3)).as_quat().reshape(*pose.shape[:2], 4)
 
 
-def _continuous(quaternions: np.ndarray) -> np.ndarray:
+def continuous_quaternions(quaternions: np.ndarray) -> np.ndarray:
     """Flip signs so that neighbours in time lie on the same half of the sphere: linear
     interpolation is then safe.
     """

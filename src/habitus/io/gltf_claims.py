@@ -34,7 +34,7 @@ def check_gltf(path: Path) -> None:
     """Raise HabitusError where a .glb or .gltf claims more than a file of its size may."""
     stored = path.stat().st_size
     content = read_file(path)
-    text, packed = _chunks(content) if path.suffix.lower() == ".glb" else (content, b"")
+    text, packed = glb_chunks(content) if content[:4] == b"glTF" else (content, b"")
     check_text(len(text), "its JSON")
     try:
         document = read_json(text.decode("utf-8-sig"), MAX_TEXT_BYTES)
@@ -51,7 +51,7 @@ def check_gltf(path: Path) -> None:
     _check_pictures(document, packed, path.parent, Allowance(stored, MAX_IMAGE_BYTES))
 
 
-def _chunks(content: bytes) -> tuple[bytes, bytes]:
+def glb_chunks(content: bytes) -> tuple[bytes, bytes]:
     """The JSON and the binary chunk of a .glb."""
     size = int.from_bytes(content[12:16], "little")
     check_present(20 + size, len(content), "its JSON")

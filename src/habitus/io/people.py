@@ -11,6 +11,7 @@ motion, AMASS npz         ``poses``                                   `BodyMotio
 person of habitus body    ``betas``, and no ``shapedirs``             `BodyShape`
 body model                a shipped name, .pkl, or any other npz      `BodyModel`
 mesh                      .ply, .obj                                  `Mesh`
+skeleton in motion        .bvh, .glb, .gltf                           `BodyMotion`
 ========================  ==========================================  ======================
 """
 
@@ -41,6 +42,8 @@ from habitus.io.marker_fit_arrays import (
 from habitus.io.meshes import ENDINGS as MESH_ENDINGS
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import SHIPPED, load_body
+from habitus.io.motions.open import ENDINGS as RIG_ENDINGS
+from habitus.io.motions.open import read_foreign_motion
 from habitus.mesh.normals import vertex_normals
 from habitus.rotations import UP_AXES
 
@@ -139,6 +142,8 @@ def open_person(path: str | os.PathLike[str], body: BodyLike = None) -> PersonDa
     source = Path(path)
     if source.suffix.lower() in MESH_ENDINGS:
         return Mesh(source.stem, *read_mesh(source))
+    if source.suffix.lower() in RIG_ENDINGS:
+        return _foreign(source, body)
     file = _read(person_file(source))
     if file.kind == "body":
         return load_body(file.source)
@@ -164,12 +169,15 @@ def read_fit(path: str | os.PathLike[str], body: BodyLike = None) -> MarkerFit:
 
 
 def read_motion(path: str | os.PathLike[str], body: BodyLike = None) -> BodyMotion:
-    """The motion in an npz of ``habitus mosh``, ``exaggerate`` or ``retarget``, or of AMASS.
+    """The motion in an npz of ``habitus mosh``, ``exaggerate`` or ``retarget``, or of AMASS, or of
+    any person's skeleton in a BVH (`habitus.io.motions.open`).
 
     AMASS: ``poses`` (T, 3J; rad), ``trans`` (T, 3; m), ``betas``, ``mocap_framerate`` (Hz), z up.
     body: as in `open_person`. Raises HabitusError, with the file named, where it holds no motion,
     or where the betas belong to another body.
     """
+    if Path(path).suffix.lower() in RIG_ENDINGS:
+        return _foreign(Path(path), body)
     file = _read(person_file(path))
     file.require(("poses", "trans"), "the body.npz of a fit, or an npz of AMASS")
     return BodyMotion.of(_OPENERS[file.kind](file, body))
@@ -194,6 +202,15 @@ def read_shape(
             return _shape(file, body)
     model = load_body(os.fspath(path))
     return BodyShape(model.name, model, np.zeros(model.num_betas), model.name)
+
+
+def _foreign(path: Path, body: BodyLike) -> BodyMotion:
+    """The motion of somebody else's skeleton, on a body or on the person of a file."""
+    if body is None or isinstance(body, BodyModel):
+        return read_foreign_motion(path, body)
+    person = read_shape(body)
+    given = None if _is_body(body) or not person.betas.any() else person.betas
+    return read_foreign_motion(path, person.body, given)
 
 
 def person_file(path: str | os.PathLike[str]) -> Path:

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.motion import Moving
+from habitus.body.motion import BodyMotion, Moving
 from habitus.errors import HabitusError
 from habitus.export.motion import Exported, check_motion_path, export_motion
 from habitus.io.models.bodies import SHIPPED, load_body
+from habitus.io.motions.open import ENDINGS as RIG_ENDINGS
 from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.types import PathLike
 
@@ -92,3 +93,11 @@ def _with_fingers(person: BodyShape) -> BodyShape:
     whole = load_body(body.name, joints="smplx", num_betas=body.num_betas)
     same = np.array_equal(whole.v_template, body.v_template)
     return replace(person, body=whole) if same else person
+
+
+def reading_notes(source: PathLike, moving: Moving) -> tuple[str, ...]:
+    """What was decided in reading somebody else's skeleton, in sentences; nothing of other
+    sources.
+    """
+    foreign = Path(source).suffix.lower() in RIG_ENDINGS
+    return moving.made if foreign and isinstance(moving, BodyMotion) else ()

@@ -15,6 +15,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.points.scan import Scan
 from habitus.io.models.bodies import load_body
 from habitus.io.models.levels import has_levels
+from habitus.io.motions.open import is_rig_motion
 from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.io.scans import ENDINGS, read_scan
 from habitus.report.page_server import PageServer, new_token
@@ -90,7 +91,8 @@ class _Shown:
 def _opened(
     source: PathLike, body: PathLike | None, up: str
 ) -> BodyModel | BodyMotion | MarkerFit | Scan:
-    if Path(source).suffix.lower() in ENDINGS:
+    path = Path(source)
+    if path.suffix.lower() in ENDINGS and not is_rig_motion(path):
         return _upright(read_scan(source), up)
     person = open_person(source, body)
     assert not isinstance(person, Mesh)  # its endings are among those of scans

@@ -104,7 +104,7 @@ def test_feet_stand_and_nothing_sinks(step, legs, rest):
 
 def test_the_world_does_not_matter(step):
     turn = up_rotation("+z")
-    other = replace(recipe._turned(step, turn), up_axis="+y")
+    other = replace(recipe.turned(step, turn), up_axis="+y")
     body = _taller(step, 1.2, 1.0)
     one, two = (retargeted(each, body, np.zeros(6), "x").motion for each in (step, other))
     np.testing.assert_allclose(one.joints() @ turn.T, two.joints(), atol=1e-6)

@@ -86,12 +86,11 @@ def retargeted(
     still = standing(points, source.rate_hz, settings.contacts)
     ground = ground_height(points[..., 1], still, settings.contacts)
     plain, scale = _plain(before, body, betas, ground)
-    lowest = _lowest(before)
-    plain_lowest = _lowest(plain)
+    lowest = lowest_heights(before)
+    plain_lowest = lowest_heights(plain)
     targets = np.where([False, True, False], ground + scale * (points - ground), points)
     allowed = np.minimum(0.0, scale * (lowest - ground))
-    moved = _standing(plain, soles, still, targets, ground + allowed, settings)
-    moved = _above(moved, plain, soles, still, targets, ground + allowed, settings)
+    moved = grounded(plain, soles, still, targets, ground + allowed, settings)
     slips = (
         _slip(before, soles, still),
         _slip(plain, soles, still),
@@ -100,7 +99,7 @@ def retargeted(
     below = (
         float((lowest - ground).min()),
         float((plain_lowest - ground).min()),
-        float((_lowest(moved) - ground).min()),
+        float((lowest_heights(moved) - ground).min()),
     )
     note = (
         f"retargeted to {name}: way scaled by {scale:.3f}, feet kept where they stood, soft "
@@ -140,8 +139,8 @@ def turned(motion: BodyMotion, turn: Float[np.ndarray, "3 3"]) -> BodyMotion:
 
 
 def same_turns(
-    pose: Float[np.ndarray, "T J 3"], other: Float[np.ndarray, "T J 3"]
-) -> Float[np.ndarray, "T J 3"]:
+    pose: Float[np.ndarray, "*batch 3"], other: Float[np.ndarray, "*batch 3"]
+) -> Float[np.ndarray, "*batch 3"]:
     """The same rotations as vectors as near to ``other``'s as can be: turns that go on beyond half
     of one go on.
     """
@@ -184,6 +183,22 @@ def _leg_length(motion: BodyMotion, legs: tuple[Leg, Leg]) -> float:
         for leg in legs
     ]
     return float(np.mean(each))
+
+
+def grounded(
+    plain: BodyMotion,
+    soles: Soles,
+    still: Bool[np.ndarray, "T 2 P"],
+    targets: Float[np.ndarray, "T 2 P 3"],
+    least: Float[np.ndarray, " T"],
+    settings: RetargetSettings = RETARGET,
+) -> BodyMotion:
+    """The motion (y up) with feet at their targets while they stand, and nothing below ``least``.
+
+    targets: as `habitus.fit.retarget.contacts.corrections` takes them.
+    """
+    moved = _standing(plain, soles, still, targets, least, settings)
+    return _above(moved, plain, soles, still, targets, least, settings)
 
 
 def _standing(
@@ -282,10 +297,10 @@ def _above(
     Feet stay where they stand as far as legs reach; then the whole body goes up.
     """
     frames = settings.smooth * moved.rate_hz
-    lift = _above_smoothly(least - _lowest(moved), frames)
+    lift = _above_smoothly(least - lowest_heights(moved), frames)
     if lift.any():
         moved = _standing(_raised(plain, lift), soles, still, targets, least, settings)
-        moved = _raised(moved, _above_smoothly(least - _lowest(moved), frames))
+        moved = _raised(moved, _above_smoothly(least - lowest_heights(moved), frames))
     return moved
 
 
@@ -293,7 +308,7 @@ def _raised(motion: BodyMotion, lift: Float[np.ndarray, " T"]) -> BodyMotion:
     return replace(motion, trans=motion.trans + np.outer(lift, [0.0, 1.0, 0.0]))
 
 
-def _lowest(motion: BodyMotion) -> Float[np.ndarray, " T"]:
+def lowest_heights(motion: BodyMotion) -> Float[np.ndarray, " T"]:
     """The height of the lowest vertex of every frame."""
     parts = motion.surfaces(np.arange(motion.num_frames))
     return np.concatenate([part.vertices[..., 1].min(axis=-1) for part in parts])

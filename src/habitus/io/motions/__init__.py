@@ -1,0 +1,1 @@
+"""Motions of other people's skeletons: BVH and glTF."""
