@@ -23,6 +23,10 @@ class Export:
 
     habitus export him.npz --out him.fbx --bake-correctives all      (him.npz: of habitus body)
 
+    habitus export results/walk/body.npz --topology smplx --out walk_smplx.npz
+
+    habitus export results/walk/body.npz --model SMPLX_NEUTRAL.npz --out walk_amass.npz
+
     .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc:
     joints and markers; .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: the fit or motion.
     `docs/exporting.md` explains how programs import them.
@@ -50,6 +54,12 @@ class Export:
     """Of meshes: a blend shape for each face unit, with ARKit's names."""
     skin: Annotated[str, metavar("none|light|medium|dark|0..1")] = "none"
     """Skin of a default body's mesh: a tone from 0 (light) to 1 (dark); none: a plain material."""
+    topology: Annotated[Literal["smpl", "smplx", "mhr"] | None, unset("smpl|smplx|mhr")] = None
+    """Vertices in this topology instead, without its model: .npz (all frames), .obj, .ply, or a
+    folder (docs/other-bodies.md).
+    """
+    model: Annotated[Path | None, unset("FILE")] = None
+    """Your SMPL, SMPL-H or SMPL-X (npz, pkl): its betas and pose are solved for, into an .npz."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one."""
 
@@ -74,8 +84,19 @@ def run(options: Export, console: "Console | None" = None) -> None:
         frame=options.frame,
         npz_style=options.npz_style,
         face=options.face,
-        skin=options.skin,
+        skin=None if options.skin == "none" else options.skin,
+        topology=options.topology,
+        model=options.model,
     )
+    if exported.error_mm is not None:
+        mean, p95 = exported.error_mm["mean"], exported.error_mm["p95"]
+        say(
+            console,
+            f"the model's vertices are {mean:.1f} mm off the surface on average, 95 % {p95:.1f} mm",
+            "note",
+        )
+    if exported.verdict is not None and exported.verdict.level != "good":
+        say(console, plain(" ".join(exported.verdict.reasons)), exported.verdict.level)
     if exported.morphs or exported.worst:
         worst = f"{1e3 * exported.worst:.2g} mm" if exported.worst else "less than 0.01 mm"
         other = (
