@@ -76,6 +76,7 @@ MENU = {
         "in-your-program",
         "exaggerating-and-retargeting",
         "robots",
+        "other-bodies",
         "amass",
     ),
     "Reference": ("reference/index", "results", "conventions", "glossary", "equations"),

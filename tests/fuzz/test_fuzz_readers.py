@@ -58,6 +58,8 @@ NAMES = (
     "robot.xml",
     "robot.urdf",
     "pairs.toml",
+    "vertices.npz",
+    "vertices.obj",
     "calibration.toml",
     "calibration.qca.txt",
     "calibration.xcp",

@@ -105,7 +105,7 @@ def _from_topology(options: Register, console: "Console") -> int:
             unit=options.unit,
             up=options.up,
             fps=options.fps,
-            own=options.own_surface,
+            own_surface=options.own_surface,
             progress=lambda stage, share: bar.update(
                 task, description=shown(stage), completed=share
             ),

@@ -42,16 +42,18 @@ class KnownPointSettings:
     """Metres (s) that a point lies off: about what a shape space leaves of a surface."""
     shape_prior: float = 1.0
     """a: betas are standard deviations; thousands of points outweigh it."""
-    pose_prior: float = 1.0
+    pose_prior: float = 0.01
     """b, 1 / rad^2: keeps joints that no point tells of at rest."""
     frames: int = 8
-    """Of the shape stage, at most: surfaces are whole, further ones change the shape by less than
-    a tenth of a millimetre."""
-    points: int = 2500
-    """Of all frames' poses, spread evenly over the body; the shape stage takes twice as many."""
+    """Of the shape stage, at most. By hand: whole surfaces tell a shape in one frame already."""
+    points: int = 1500
+    """Of a frame's pose, spread evenly over the body; the shape stage takes twice as many. By
+    hand."""
+    of_joint: int = 60
+    """Of these at least so many of each joint, as far as it has them: fingers are small."""
     iterations: int = 40
     """In each stage, at most."""
-    tolerances: Tolerances = field(default_factory=lambda: Tolerances(cost=1e-7, step=1e-9))
+    tolerances: Tolerances = field(default_factory=lambda: Tolerances(cost=1e-4, step=1e-6))
     bend: float = 0.006
     """Metres over which a displaced surface bends: about the distance of SMPL's vertices, so that
     every vertex is followed, and noise between them is not."""
@@ -115,7 +117,7 @@ def fit_known_points(
     fitting = _Fitting(body, solver, face, barycentric, settings)
     progress("shape", 0.0)
     betas = fitting.shape(targets) if betas is None else betas
-    few = farthest_points(body.v_template[body.faces[face, 0]], settings.points)
+    few = _some(body, face, settings.points, settings.of_joint)
     coarse = _Fitting(body, solver, face[few], barycentric[few], settings)
     pose = np.empty((len(targets), body.num_joints, 3))
     trans = np.empty((len(targets), 3))
@@ -147,8 +149,7 @@ class _Fitting:
     def shape(self, targets: Float[np.ndarray, "T N 3"]) -> Float[np.ndarray, " B"]:
         """The betas of some frames together."""
         chosen = _different(targets, self.settings.frames)
-        few = farthest_points(self.body.v_template[self.body.faces[self.face, 0]],
-                              2 * self.settings.points)  # fmt: skip
+        few = _some(self.body, self.face, 2 * self.settings.points, self.settings.of_joint)
         fewer = _Fitting(
             self.body, self.solver, self.face[few], self.barycentric[few], self.settings
         )
@@ -200,13 +201,26 @@ class _Fitting:
         return minimize(
             terms,
             {"betas": betas, "pose": pose, "trans": trans},
-            "levenberg",
+            "dogleg",
             fixed=fixed,
             blocks=("pose", "trans"),
             stretch=False,
             max_iterations=settings.iterations,
             tolerances=settings.tolerances,
         ).values
+
+
+def _some(
+    body: BodyModel, face: Int[np.ndarray, " N"], count: int, least: int
+) -> Int[np.ndarray, " K"]:
+    """Points spread evenly over the body, and over the small parts of single joints."""
+    vertex = body.faces[face, 0]
+    at, joint = body.v_template[vertex], body.strongest_joint[vertex]
+    chosen = [farthest_points(at, count)]
+    for k in np.unique(joint):
+        own = np.flatnonzero(joint == k)
+        chosen.append(own[farthest_points(at[own], least)])
+    return np.unique(np.concatenate(chosen))
 
 
 def _different(targets: Float[np.ndarray, "T N 3"], count: int) -> Int[np.ndarray, " K"]:

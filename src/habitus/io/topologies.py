@@ -24,6 +24,8 @@ TOPOLOGIES = ("smpl", "smplx", "mhr")
 FOLDER = Path(__file__).resolve().parents[1] / "assets" / "topologies"
 _LARGEST = {"m": 5.0, "cm": 500.0, "mm": np.inf}
 """Extents (of any person, in any pose) up to which numbers are taken for each unit."""
+_PEOPLE = (0.2, 5.0)
+"""Metres from end to end of a person in any pose."""
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
 
@@ -114,6 +116,11 @@ def read_vertices(path: PathLike, count: int, unit: str = "auto") -> ForeignVert
     largest = float(np.ptp(found, axis=1).max())
     if unit == "auto":
         unit = next(name for name, most in _LARGEST.items() if largest <= most)
+    if not _PEOPLE[0] <= largest * UNITS[unit] <= _PEOPLE[1]:
+        raise HabitusError(
+            f"{source}: {largest:.3g} {unit} across; expected a person's {_PEOPLE[0]} to "
+            f"{_PEOPLE[1]} metres: give the unit"
+        )
     return ForeignVertices(source.stem, found * UNITS[unit], rate, up)
 
 

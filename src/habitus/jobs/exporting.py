@@ -51,8 +51,8 @@ def export_file(
         )
         if given or (topology is not None and model is not None):
             raise HabitusError(
-                "topology and model go alone: leave out blend shapes, detail, style, face and skin, "
-                "and give one of the two"
+                "topology and model go alone: leave out blend shapes, detail, style, face and "
+                "skin, and give one of the two"
             )
         moving = at_rate(read_moving(source, body), fps)
         return (

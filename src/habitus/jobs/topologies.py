@@ -5,6 +5,7 @@ surface. So a fit gives their vertices, their vertices give a fit, and the user'
 for the vertices that a fit gives.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,8 @@ from habitus.export.motion import write_motion
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.export.topology import topology_vertices
 from habitus.files import whole_folder
-from habitus.fit.known_points import KnownPointFit, fit_known_points, own_surface
+from habitus.fit.known_points import KnownPointFit, fit_known_points
+from habitus.fit.known_points import own_surface as rest_surface
 from habitus.fit.retarget.recipe import turned
 from habitus.fit.verdict import Verdict
 from habitus.io.models.bodies import SHIPPED, load_body
@@ -36,6 +38,7 @@ from habitus.types import PathLike, Progress
 MODEL_BETAS = 16
 """Shape coefficients that are solved of a user's model: as many as AMASS keeps."""
 FILES = (FIT_FILE, METRICS)
+MAX_RATE = 1e4
 REST_RATE = 30.0
 """Hz of vertices whose file tells no rate."""
 _JOINTS = {"smpl": "smplh", "smplx": "smplx", "mhr": "smplx"}
@@ -89,7 +92,7 @@ def register_vertices(
     unit: str = "auto",
     up: str = "auto",
     fps: float | None = None,
-    own: bool = False,
+    own_surface: bool = False,
     progress: Progress = lambda stage, share: None,
 ) -> RegisteredVertices:
     """Our body from the vertices of another topology: one shape, a pose a frame.
@@ -98,12 +101,16 @@ def register_vertices(
     "smplx" or "mhr". body: "neutral", "female", "male", or "default": the one of these with the
     lowest error. unit: of the file, "auto": m, cm or mm by the size of a person. up: the axis that
     points up; "auto": as the file says, else the one nearest to the person's upright axis, which
-    is wrong for somebody who lies. fps: frames a second, where the file tells none. own: the body's
-    mean person becomes this one (a character, betas zero), so that what the shape space cannot
-    express stays. out: a folder for body.npz and metrics.json. Raises HabitusError.
+    is wrong for somebody who lies. fps: frames a second, where the file tells none. own_surface:
+    the body's mean person becomes this one (a character, betas zero), so that what the shape space
+    cannot express stays. out: a folder for body.npz and metrics.json. Raises HabitusError.
     """
     if body != "default" and body not in SHIPPED:
         raise HabitusError(f"body is {body!r}; expected default, neutral, female or male")
+    if fps is not None and not 0.0 < fps < MAX_RATE:
+        raise HabitusError(f"fps is {fps:g}; expected frames a second, up to {MAX_RATE:g}")
+    if up != "auto" and signed_axis(up) is None:
+        raise HabitusError(f"up is {up!r}; expected auto, or an axis such as +z")
     names = ("neutral", "female", "male") if body == "default" else (body,)
     bodies = [load_body(name, joints=_JOINTS.get(topology, "smplh")) for name in names]
     places = load_topology(topology, bodies[0].full or bodies[0])
@@ -118,8 +125,8 @@ def register_vertices(
         model = bodies[int(np.argmin(errors))] if errors else bodies[0]
         fit = _fitted(model, places, read.vertices, progress=progress)
         name = model.name
-        if own:
-            surface = own_surface(model.full or model, places, fit, read.vertices)
+        if own_surface:
+            surface = rest_surface(model.full or model, places, fit, read.vertices)
             model = recentred(model, surface, name)
             still = np.zeros(model.num_betas)
             fit = _fitted(model, places, read.vertices, still, progress)
@@ -162,8 +169,9 @@ def _said(fit: KnownPointFit, what: str) -> str:
 
 def _upright(asked: str, told: str | None, fit: KnownPointFit) -> str:
     """The axis that points up."""
-    if asked != "auto":
-        return asked
+    given = signed_axis(asked)
+    if given is not None:
+        return given
     axis = signed_axis(told)
     if axis is not None:
         return axis
@@ -214,12 +222,13 @@ def solve_model(
     solved. Every vertex of the model is drawn to its place on our surface; expression and hand
     components stay out, hands are full rotations. Raises HabitusError for another topology.
     """
-    ours = load_body(model, num_betas=betas) if not isinstance(model, BodyModel) else model
+    ours = model if isinstance(model, BodyModel) else load_body(os.fspath(model))
+    ours = ours.with_betas(min(betas, ours.num_betas))
     upright = turned(BodyMotion.of(moving), up_rotation("+z").T @ up_rotation(moving.up_axis))
     places = load_topology(topology_of(ours.num_vertices), upright.finest_body)
     kept = np.flatnonzero(places.matched)
     vertices = topology_vertices(upright, places, np.arange(upright.num_frames))[:, kept]
-    face, share = _as_points(ours, kept)
+    face, share = points_of(ours, kept)
     with one_blas_thread():
         fit = fit_known_points(ours, face, share, vertices, progress=progress)
     motion = replace(
@@ -238,9 +247,7 @@ def solve_model(
     return SolvedModel(Motion.of(motion), places.name, fit.distances, fit.verdict)
 
 
-def _as_points(
-    body: BodyModel, vertices: np.ndarray
-) -> tuple[np.ndarray, Float[np.ndarray, "N 3"]]:
+def points_of(body: BodyModel, vertices: np.ndarray) -> tuple[np.ndarray, Float[np.ndarray, "N 3"]]:
     """A face at each vertex, and one for the corner that it is."""
     face = np.full(body.num_vertices, -1)
     corner = np.zeros(body.num_vertices, np.int64)
