@@ -5,7 +5,7 @@
 FOLDER: human_man.obj, human_woman.obj (SMPL's mean bodies) and human_neutral.obj (SMPL-X's) of
 github odedstein/meshes, CC BY 4.0; mhr_face_mask.ply is MHR's rest mesh (Apache-2.0).
 
-- meshes: each is solved on our body by its map and written in its topology again: distance of all
+- meshes: each is solved on the neutral body by its map and written in its topology again: distance of all
   of its vertices from where they were, mm, mean and 95 %, and the map's matched ones alone. First
   in the shape space (betas), then with the person's own rest surface.
 - planted: a made model of SMPL's form (tests/helpers/planted_model.py: the female body's arrays on
@@ -42,7 +42,7 @@ MESHES = {
     "SMPL's mean woman": ("human_woman.obj", "smpl"),
     "SMPL-X's neutral person": ("human_neutral.obj", "smplx"),
 }
-FRAMES = 8
+FRAMES = 4
 
 
 def off(vertices: np.ndarray, others: np.ndarray) -> dict[str, float]:
@@ -53,7 +53,7 @@ def off(vertices: np.ndarray, others: np.ndarray) -> dict[str, float]:
 
 def mesh_row(name: str, path: Path, topology: str, own: bool) -> dict:
     """One mesh to our body and back."""
-    made = register_vertices(path, topology, own_surface=own)
+    made = register_vertices(path, topology, "neutral", own_surface=own)
     places = load_topology(topology, made.motion.finest_body)
     given = read_vertices(path, places.num_vertices).vertices
     back = topology_vertices(made.motion, places, np.arange(1))
