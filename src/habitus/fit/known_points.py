@@ -61,7 +61,7 @@ class KnownPointSettings:
     """m^2 of a vertex: smaller ones (the rims of eyes and lips) bend as these do."""
     off: Bound = Bound(0.010, 0.030)
     """Metres, mean distance of points: other people are 3 to 6 mm off in the bundled bodies' shape
-    space; vertices in another order are 100 mm off and more."""
+    space; vertices in another order fail. By hand."""
 
 
 KNOWN_POINTS = KnownPointSettings()
