@@ -78,6 +78,7 @@ MENU = {
         "exaggerating-and-retargeting",
         "motion-in",
         "robots",
+        "other-bodies",
         "amass",
     ),
     "Reference": ("reference/index", "results", "conventions", "glossary", "equations"),

@@ -42,6 +42,7 @@ from habitus.jobs.sensors import Fit as Fit
 from habitus.jobs.sensors import Keypoints as Keypoints
 from habitus.jobs.sensors import Markers as Markers
 from habitus.jobs.sensors import Scan as Scan
+from habitus.jobs.topologies import register_vertices as register_vertices
 from habitus.jobs.train import Trainer as Trainer
 from habitus.jobs.train import train as train
 from habitus.jobs.train_dynamics import train_dynamics as train_dynamics

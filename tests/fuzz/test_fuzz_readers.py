@@ -61,6 +61,8 @@ NAMES = (
     "pairs.toml",
     "motion.bvh",
     "motion.glb",
+    "vertices.npz",
+    "vertices.obj",
     "calibration.toml",
     "calibration.qca.txt",
     "calibration.xcp",

@@ -23,6 +23,10 @@ class Export:
 
     habitus export him.npz --out him.fbx --bake-correctives all      (him.npz: of habitus body)
 
+    habitus export results/walk/body.npz --topology smplx --out walk_smplx.npz
+
+    habitus export results/walk/body.npz --model SMPLX_NEUTRAL.npz --out walk_amass.npz
+
     habitus export him.npz --out him.vrm --skin medium
 
     .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .vrm: an avatar at rest;
@@ -63,6 +67,12 @@ class Export:
     """A bone on the floor, which the pelvis hangs on, for root motion."""
     light: bool = False
     """At most 40 blend shapes, beside the face's, for game engines."""
+    topology: Annotated[Literal["smpl", "smplx", "mhr"] | None, unset("smpl|smplx|mhr")] = None
+    """Vertices in this topology instead, without its model: .npz (all frames), .obj, .ply, or a
+    folder (docs/other-bodies.md).
+    """
+    model: Annotated[Path | None, unset("FILE")] = None
+    """Your SMPL, SMPL-H or SMPL-X (npz, pkl): its betas and pose are solved for, into an .npz."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one; of a skeleton's motion the body
     or the person (npz) that moves.
@@ -79,7 +89,8 @@ def run(options: Export, console: "Console | None" = None) -> None:
     from habitus.jobs.exporting import export_file, read_moving, reading_notes
 
     console = console or screen()
-    moving = read_moving(options.source, options.body)
+    fingers = options.rig != "none" or options.out.suffix.lower() == ".vrm"
+    moving = read_moving(options.source, options.body, with_fingers=fingers)
     for note in reading_notes(options.source, moving):
         say(console, plain(note), "note")
     exported = export_file(
@@ -91,12 +102,23 @@ def run(options: Export, console: "Console | None" = None) -> None:
         frame=options.frame,
         npz_style=options.npz_style,
         face=options.face,
-        skin=options.skin,
+        skin=None if options.skin == "none" else options.skin,
         rig=None if options.rig == "none" else options.rig,
         bones=options.bones,
         root_bone=options.root_bone,
         light=options.light,
+        topology=options.topology,
+        model=options.model,
     )
+    if exported.error_mm is not None:
+        mean, p95 = exported.error_mm["mean"], exported.error_mm["p95"]
+        say(
+            console,
+            f"the model's vertices are {mean:.1f} mm off the surface on average, 95 % {p95:.1f} mm",
+            "note",
+        )
+    if exported.verdict is not None and exported.verdict.level != "good":
+        say(console, plain(" ".join(exported.verdict.reasons)), exported.verdict.level)
     if exported.morphs or exported.worst:
         worst = f"{1e3 * exported.worst:.2g} mm" if exported.worst else "less than 0.01 mm"
         other = (

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from habitus.cli.screen import FAILED_FIT, Strict, compilation_notice, progress_bar, say, screen
-from habitus.errors import shown
+from habitus.errors import HabitusError, shown
 from habitus.jobs.options import RegisterOptions, metavar, unset
 
 if TYPE_CHECKING:
@@ -26,6 +26,14 @@ class _Files:
     """Body whose topology the surfaces get: female, male, neutral, a file, or default: of these
     three the one with the lowest error.
     """
+    topology: Annotated[Literal["smpl", "smplx", "mhr"] | None, unset("smpl|smplx|mhr")] = None
+    """SCAN is one mesh, or an npz with vertices (T, V, 3), in this topology's order, which says
+    where each vertex lies: no scan is matched, OUT gets body.npz (docs/other-bodies.md).
+    """
+    own_surface: bool = False
+    """With a topology: the body's mean person becomes this one; betas are zero then."""
+    fps: Annotated[float | None, unset("HZ")] = None
+    """With a topology: frames a second, where the file tells none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,21 +46,27 @@ class Register(Strict, RegisterOptions, _Files):
     OUT/<name>/ receives body.npz, surface.ply, surface.glb, model.ply, rest.ply (which `habitus
     measure` reads), metrics.json and report.html; OUT/registrations.npz is what `habitus train`
     reads. `docs/registering-scans.md` explains how to scan.
+
+    habitus register her_smplx.npz --topology smplx --out results/her
     """
 
 
 OPTIONS = Register
 ABOUT = Register.__doc__
-NEEDS = ("habitus.jobs.register", "rich.progress", "numba.core.event")
+NEEDS = ("habitus.jobs.register", "habitus.jobs.topologies", "rich.progress", "numba.core.event")
 
 
 def run(options: Register, console: "Console | None" = None) -> int:
     """Do what the options say; 3 under ``strict`` where a fit failed by its verdict. Raises
     HabitusError.
     """
+    console = console or screen(options.quiet)
+    if options.topology is not None:
+        return _from_topology(options, console)
+    if options.own_surface or options.fps is not None:
+        raise HabitusError("--own-surface and --fps go with --topology; leave them out")
     from habitus.jobs.register import register_scans
 
-    console = console or screen(options.quiet)
     with compilation_notice(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("read", total=1.0)
         fits = register_scans(
@@ -70,6 +84,42 @@ def run(options: Register, console: "Console | None" = None) -> int:
     return (
         FAILED_FIT if options.strict and any(fit.verdict.level == "failed" for fit in fits) else 0
     )
+
+
+def _from_topology(options: Register, console: "Console") -> int:
+    from habitus.jobs.topologies import register_vertices
+
+    assert options.topology is not None
+    if len(options.scans) != 1:
+        raise HabitusError(f"{len(options.scans)} files; expected one with --topology")
+    unused = (options.age, options.sex, options.separate, options.sequence, options.texture)
+    if any(unused):
+        raise HabitusError("--age, --sex, --separate, --sequence, --texture go without --topology")
+    with compilation_notice(options.quiet), progress_bar(console) as bar:
+        task = bar.add_task("read", total=1.0)
+        made = register_vertices(
+            options.scans[0],
+            options.topology,
+            options.body,
+            out=options.out,
+            unit=options.unit,
+            up=options.up,
+            fps=options.fps,
+            own_surface=options.own_surface,
+            progress=lambda stage, share: bar.update(
+                task, description=shown(stage), completed=share
+            ),
+        )
+    say(
+        console,
+        f"{made.motion.num_frames} frames of {options.topology} on {made.motion.body_name}: "
+        f"{made.verdict.level}; {made.error_mm['mean']:.1f} mm off on average, 95 % "
+        f"{made.error_mm['p95']:.1f} mm",
+    )
+    for reason in made.verdict.reasons:
+        say(console, reason, made.verdict.level)
+    say(console, f"wrote {options.out}")
+    return FAILED_FIT if options.strict and made.verdict.level == "failed" else 0
 
 
 def _print_fit(fit: "ScanFit", console: "Console") -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
+from habitus.fit.known_points import start_pose
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.least_squares import (
     Derivatives,
@@ -148,34 +149,6 @@ def fit_surface(
     return Fit(
         shape, pose, trans, model.surface(shape, pose) + trans, result.iterations, result.converged
     )
-
-
-def start_pose(
-    rest: Float[np.ndarray, "V 3"],
-    target: Float[np.ndarray, "V 3"],
-    influence: Float[np.ndarray, "V J"],
-    parents: tuple[int, ...],
-) -> Float[np.ndarray, "J 3"]:
-    """A pose to start from (rotation vectors, rad): each joint's vertices turned rigidly from
-    ``rest`` to ``target``.
-
-    Joints whose vertices tell no rotation (none, or all on one line) go along with their parent.
-    """
-    w = influence / np.maximum(influence.sum(0), 1e-300)
-    products = (target[:, :, None] * rest[:, None, :]).reshape(-1, 9)
-    means = w.T @ target, w.T @ rest
-    covariance = (w.T @ products).reshape(-1, 3, 3) - means[0][:, :, None] * means[1][:, None, :]
-    u, s, vh = np.linalg.svd(covariance)
-    side = np.where(np.linalg.det(u @ vh) < 0.0, -1.0, 1.0)
-    determined = s[:, 1] + side * s[:, 2] > 1e-6 * np.maximum(s[:, 0], 1e-12)
-    u[:, :, 2] *= side[:, None]
-    world = u @ vh
-    local = np.empty((len(w.T), 3, 3))
-    for j, parent in enumerate(parents):
-        above = world[parent] if parent >= 0 else np.eye(3)
-        world[j] = world[j] if determined[j] else above
-        local[j] = above.T @ world[j]
-    return rotvec_from_matrix(local)
 
 
 @dataclass(frozen=True, eq=False)

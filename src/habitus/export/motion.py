@@ -31,6 +31,7 @@ from habitus.export.trc import write_points
 from habitus.export.usd import ENDINGS, write_usd
 from habitus.export.vrm import write_vrm
 from habitus.fit.markers.result import MarkerFit
+from habitus.fit.verdict import Verdict
 from habitus.parallel.blocks import drop_pages
 from habitus.rotations import up_rotation
 
@@ -57,7 +58,8 @@ class Exported:
 
     ``drivers``: the file beside it that says how bones drive them (`habitus.export.driven`), where
     they do; ``elsewhere`` (m): how far they leave a vertex at the worst in poses that people take.
-    ``skinned``: whether the mesh has a skin.
+    ``skinned``: whether the mesh has a skin. ``error_mm`` and ``verdict``: of the parameters of a
+    user's own model, how far its vertices are from our surface ("mean", "p95").
     """
 
     path: Path
@@ -68,6 +70,8 @@ class Exported:
     drivers: Path | None = None
     elsewhere: float = 0.0
     skinned: bool = False
+    error_mm: Mapping[str, float] | None = None
+    verdict: Verdict | None = None
 
 
 def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:

@@ -9,9 +9,13 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion, Moving
 from habitus.errors import HabitusError
 from habitus.export.motion import Exported, check_motion_path, export_motion
+from habitus.export.rates import at_rate
+from habitus.export.topology import check_topology_path, write_topology
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.io.motions.open import ENDINGS as RIG_ENDINGS
 from habitus.io.people import BodyShape, Mesh, open_person
+from habitus.io.topologies import load_topology
+from habitus.jobs.topologies import solve_model
 from habitus.types import PathLike
 
 
@@ -31,6 +35,8 @@ def export_file(
     bones: str = "along",
     root_bone: bool = False,
     light: bool = False,
+    topology: str | None = None,
+    model: BodyModel | PathLike | None = None,
 ) -> Exported:
     """Write a fit, a motion, or the npz of one as the format that the ending of ``to`` names.
 
@@ -38,8 +44,28 @@ def export_file(
     npz of ``habitus body``, a body model, or "neutral", "female", "male" for the mean person) gives
     a rig: two frames at rest, standing on the ground, +y up; with ``rig`` and as .vrm it has the
     joints of fingers, jaw and eyes. body: the model that the betas belong
-    to, where the file names no shipped one. Raises HabitusError.
+    to, where the file names no shipped one. topology: "smpl", "smplx" or "mhr", for vertices in its
+    order (`habitus.export.topology.write_topology`: .npz, .obj, .ply, a folder). model: your own
+    SMPL, SMPL-H or SMPL-X (npz, pkl), whose parameters are solved and written as an npz in AMASS's
+    names, `Exported.error_mm` from our surface (docs/other-bodies.md). Raises HabitusError.
     """
+    if topology is not None or model is not None:
+        given = (correctives, detail, npz_style, face, skin) != (
+            "auto",
+            "full",
+            "habitus",
+            False,
+            None,
+        )
+        if given or (topology is not None and model is not None):
+            raise HabitusError(
+                "topology and model go alone: leave out blend shapes, detail, style, face and "
+                "skin, and give one of the two"
+            )
+        moving = at_rate(read_moving(source, body), fps)
+        return (
+            _as_topology(moving, to, topology, frame) if topology else _as_model(moving, to, model)
+        )
     check_motion_path(to)
     with_fingers = rig is not None or Path(to).suffix.lower() == ".vrm"
     return export_motion(
@@ -56,6 +82,31 @@ def export_file(
         bones=bones,
         root_bone=root_bone,
         light=light,
+    )
+
+
+def _as_topology(moving: Moving, to: PathLike, topology: str, frame: int | None) -> Exported:
+    """Vertices in another topology."""
+    path = Path(to)
+    check_topology_path(path)
+    places = load_topology(topology, moving.finest_body)
+    return Exported(path, write_topology(moving, path, places, frame), float(moving.rate_hz))
+
+
+def _as_model(moving: Moving, to: PathLike, model: BodyModel | PathLike | None) -> Exported:
+    """Parameters of the user's own model."""
+    path = Path(to)
+    if path.suffix.lower() != ".npz":
+        raise HabitusError(f"cannot write parameters of a model to {path.name}: expected .npz")
+    assert model is not None
+    solved = solve_model(moving, model)
+    solved.save(path)
+    return Exported(
+        path,
+        moving.num_frames,
+        float(moving.rate_hz),
+        error_mm=solved.error_mm,
+        verdict=solved.verdict,
     )
 
 
