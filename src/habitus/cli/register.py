@@ -33,7 +33,7 @@ class _Files:
     own_surface: bool = False
     """With a topology: the body's mean person becomes this one; betas are zero then."""
     fps: Annotated[float | None, unset("HZ")] = None
-    """With a topology: frames a second, where the file tells none."""
+    """With a topology: frames a second, where the file names none."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -214,17 +214,17 @@ def _rescaled(
     """Factors after another round. An axis that no pair measures follows the other axes of its
     body, a body without any the mean of the legs.
     """
-    told: dict[str, np.ndarray] = {body: np.full(3, np.nan) for body in factors}
+    ratios: dict[str, np.ndarray] = {body: np.full(3, np.nan) for body in factors}
     for measure in MEASURES:
         if measure.name in lengths:
             mine, its = lengths[measure.name]
             for body in factors:
                 if body.removesuffix("_r").removesuffix("_l") in measure.bodies:
                     for axis in measure.axes:
-                        told[body]["xyz".index(axis)] = mine / its
-    whole = np.nanmean([told[body] * factors[body] for body in ("femur_r", "tibia_r")])
+                        ratios[body]["xyz".index(axis)] = mine / its
+    whole = np.nanmean([ratios[body] * factors[body] for body in ("femur_r", "tibia_r")])
     out = {}
-    for body, ratio in told.items():
+    for body, ratio in ratios.items():
         new = factors[body] * ratio
         known = np.isfinite(new)
         out[body] = np.where(known, new, new[known].mean() if known.any() else whole)

@@ -101,7 +101,7 @@ def register_vertices(
     "smplx" or "mhr". body: "neutral", "female", "male", or "default": the one of these with the
     lowest error. unit: of the file, "auto": m, cm or mm by the size of a person. up: the axis that
     points up; "auto": as the file says, else the one nearest to the person's upright axis, which
-    is wrong for somebody who lies. fps: frames a second, where the file tells none. own_surface:
+    is wrong for somebody who lies. fps: frames a second, where the file names none. own_surface:
     the body's mean person becomes this one (a character, betas zero), so that what the shape space
     cannot express stays. out: a folder for body.npz and metrics.json. Raises HabitusError.
     """
