@@ -172,9 +172,14 @@ def measure(
 
 
 def measure_many(
-    body: MeasurableBody, rest_vertices: Float[np.ndarray, "N V 3"], kit: MeasuringKit | None = None
+    body: MeasurableBody,
+    rest_vertices: Float[np.ndarray, "N V 3"],
+    kit: MeasuringKit | None = None,
+    sewing: bool = True,
 ) -> dict[str, Float[np.ndarray, " N"]]:
-    """`measure` of several people."""
+    """`measure` of several people. sewing: with the tapes of `habitus.body.sewing`, which come last
+    and take nine tenths of the time.
+    """
     kit = kit or lay_out(body)
     if kit is None:
         return {}
@@ -206,7 +211,7 @@ def measure_many(
     if kit.standing is not None:
         joints = np.stack([places[name] for name in body.joint_names], axis=1)
         measured |= kit.standing.measure(vertices, joints, sole)
-        if kit.sewing is not None:
+        if kit.sewing is not None and sewing:
             measured |= kit.sewing.measure(vertices, joints, sole)
             measured["back_neck_to_crown_m"] = measured["height_m"] - measured["cervical_height_m"]
     return {name: values for name, values in measured.items() if values is not None}
@@ -359,10 +364,10 @@ class Measured:
         """Measurements of a person whose surface at rest (V, 3) is given, whatever shape it has."""
         return measure(self, rest_vertices, self.measuring_kit)  # type: ignore[arg-type]
 
-    def measure_people(self, betas: ArrayLike) -> dict[str, np.ndarray]:
-        """Measurements (N,) of N people at once, of betas (N, B)."""
+    def measure_people(self, betas: ArrayLike, sewing: bool = True) -> dict[str, np.ndarray]:
+        """Measurements (N,) of N people at once, of betas (N, B). sewing: as for `measure_many`."""
         rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]
-        return measure_many(self, rest, self.measuring_kit)  # type: ignore[arg-type]
+        return measure_many(self, rest, self.measuring_kit, sewing)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

@@ -211,12 +211,14 @@ def measurement_terms(
     where its scale, in these units, is finite.
     """
     mean = _typical(body)
+    quick = len(body.measure_people(mean[None], sewing=False))
+    sewing = max(rows, default=0) >= quick
 
     def given(betas):
         def jacobians():
-            return {"betas": _linear(body, betas, difference)[1][rows] / noise[:, None]}
+            return {"betas": _linear(body, betas, difference, sewing)[1][rows] / noise[:, None]}
 
-        here = np.array([each[0] for each in body.measure_people(betas[None]).values()])
+        here = np.array([each[0] for each in body.measure_people(betas[None], sewing).values()])
         off = (here[rows] - values) / noise
         return (off if loss is None else off[:, None]), jacobians
 
@@ -230,10 +232,14 @@ def _typical(body: BodyModel) -> np.ndarray:
     return np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
 
 
-def _linear(body: BodyModel, betas: np.ndarray, difference: float) -> tuple[np.ndarray, np.ndarray]:
-    """All measurements (M,) at these betas, and their slopes (M, B)."""
+def _linear(
+    body: BodyModel, betas: np.ndarray, difference: float, sewing: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """All measurements (M,) at these betas, those for sewing where asked for, and their slopes (M,
+    B).
+    """
     changed = betas + np.vstack([0 * betas, difference * np.eye(len(betas))])
-    table = np.array(list(body.measure_people(changed).values()))
+    table = np.array(list(body.measure_people(changed, sewing).values()))
     return table[:, 0], (table[:, 1:] - table[:, :1]) / difference
 
 
