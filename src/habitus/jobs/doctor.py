@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from habitus import __version__
+from habitus.kernels.threads import num_threads, usable_cores
 
 PURPOSES = {
     "torch": "torch tensors in and out, custom terms with gradients",
@@ -131,9 +132,8 @@ def _programs() -> Iterator[Check]:
 
 
 def _machine() -> Iterator[Check]:
-    affinity = getattr(os, "sched_getaffinity", None)
-    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
-    yield Check("processor", GOOD, f"{platform.machine()}, {cores} cores, {platform.platform()}")
+    text = f"{platform.machine()}, {usable_cores()} cores, {platform.platform()}"
+    yield Check("processor", GOOD, text)
     free = shutil.disk_usage(Path.cwd()).free / GIGABYTE
     yield Check("disk", GOOD if free > 1.0 else MISSING, f"{free:.0f} GB free in {Path.cwd()}")
     yield from _memory()
@@ -159,7 +159,7 @@ def _kernels() -> Check:
         seconds = time.perf_counter() - began
     except Exception as error:
         return Check("kernels", BROKEN, f"numba cannot compile: {error}")
-    text = f"numba {numba.__version__}, {numba.get_num_threads()} threads, {seconds:.1f} s"
+    text = f"numba {numba.__version__}, {num_threads()} threads, {seconds:.1f} s"
     cache = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parents[1])
     try:
         with tempfile.TemporaryFile(dir=cache):
