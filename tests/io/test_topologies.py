@@ -119,3 +119,10 @@ def test_files_of_another_kind_are_refused(tmp_path):
         read_vertices(tmp_path / "a.npz", 5)
     with pytest.raises(HabitusError, match="expected vertices in a mesh"):
         read_vertices(tmp_path / "a.fbx", 5)
+
+
+@pytest.mark.parametrize("shape", [(0, 5, 3), (0, 3), (2, 0, 3)])
+def test_a_file_without_vertices_is_refused(tmp_path, shape):
+    np.savez(tmp_path / "a.npz", vertices=np.zeros(shape))
+    with pytest.raises(HabitusError, match="expected numbers"):
+        read_vertices(tmp_path / "a.npz", 5)

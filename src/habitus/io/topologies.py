@@ -134,7 +134,7 @@ def _archived(source: Path) -> tuple[np.ndarray, float | None, str | None]:
         raise HabitusError(
             f"{source}: cannot be read ({reason(error)}); expected an npz with vertices (T, N, 3)"
         ) from error
-    if vertices.dtype.kind not in "fiu" or vertices.ndim not in (2, 3):
+    if vertices.dtype.kind not in "fiu" or vertices.ndim not in (2, 3) or not vertices.size:
         raise HabitusError(
             f"{source}: vertices are {vertices.dtype} of shape {vertices.shape}; expected numbers "
             "(T, N, 3)"
