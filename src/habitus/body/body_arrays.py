@@ -121,6 +121,17 @@ def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"
     )
 
 
+def affine_regressor(
+    vertices: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "J V"]:
+    """A joint regressor of a body that has one shape: affine coordinates of joints among all
+    vertices, the smallest that give ``joints`` exactly.
+    """
+    system = np.vstack([vertices.T, np.ones(len(vertices))])
+    right = np.vstack([joints.T, np.ones(len(joints))])
+    return np.linalg.lstsq(system, right, rcond=None)[0].T
+
+
 def add_blend_shapes(
     base: Float[Array, "*base M"], coefficients: Float[Array, "*batch K"], rows: Float[Array, "K M"]
 ) -> Float[Array, "*batch M"]:

@@ -8,8 +8,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from habitus.errors import HabitusError, shown
+from habitus.export.animation import continuous_quaternions
 from habitus.files import atomic_write
 from habitus.fit.retarget.robots import RobotMotion
+from habitus.gait.dynamics import angular_velocity
 from habitus.types import PathLike
 
 ENDINGS = (".npz", ".csv", ".pkl")
@@ -61,26 +63,12 @@ def write_robot(motion: RobotMotion, path: PathLike, style: str = "habitus") -> 
 
 def _quaternions(turns: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
     """Quaternions x, y, z, w that change their signs nowhere along time."""
-    shape = turns.shape[:-2]
-    out = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat().reshape(*shape, 4)
-    flips = np.sum(out[1:] * out[:-1], axis=-1) < 0.0
-    signs = np.concatenate([np.ones_like(out[:1, ..., 0]), np.where(flips, -1.0, 1.0)])
-    return out * np.cumprod(signs, axis=0)[..., None]
+    out = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat()
+    return continuous_quaternions(out.reshape(*turns.shape[:-2], 4))
 
 
 def _velocities(values: Float[np.ndarray, "T *n"], rate: float) -> Float[np.ndarray, "T *n"]:
     return np.gradient(values, axis=0) * rate if len(values) > 1 else np.zeros_like(values)
-
-
-def _turning(turns: Float[np.ndarray, "T *n 3 3"], rate: float) -> Float[np.ndarray, "T *n 3"]:
-    """Angular velocities in the world (rad/s), by differences of a frame on either side."""
-    last = len(turns) - 1
-    before = np.maximum(np.arange(last + 1) - 1, 0)
-    after = np.minimum(np.arange(last + 1) + 1, last)
-    ways = turns[after] @ np.swapaxes(turns[before], -1, -2)
-    vectors = Rotation.from_matrix(ways.reshape(-1, 3, 3)).as_rotvec().reshape(ways.shape[:-1])
-    gaps = np.maximum(after - before, 1).reshape(-1, *[1] * (vectors.ndim - 1))
-    return vectors * rate / gaps
 
 
 def _gmr(motion: RobotMotion) -> dict:
@@ -112,7 +100,7 @@ def _own(motion: RobotMotion) -> dict[str, np.ndarray]:
 
 def _loco_mujoco(motion: RobotMotion) -> dict[str, np.ndarray]:
     rate = motion.rate_hz
-    spin = _turning(motion.turn, rate)
+    spin = angular_velocity(motion.turn[:, None], rate)[:, 0]
     local = (np.swapaxes(motion.turn, -1, -2) @ spin[..., None])[..., 0]
     count = motion.robot.num_joints
     return {
@@ -141,7 +129,7 @@ def _isaac_lab(motion: RobotMotion) -> dict[str, np.ndarray]:
         "body_positions": links.origins.astype(single),
         "body_rotations": _wxyz(links.rotations).astype(single),
         "body_linear_velocities": _velocities(links.origins, rate).astype(single),
-        "body_angular_velocities": _turning(links.rotations, rate).astype(single),
+        "body_angular_velocities": angular_velocity(links.rotations, rate).astype(single),
     }
 
 

@@ -1,6 +1,5 @@
 """``habitus retarget --robot``: a motion on a humanoid robot. Files in, files out."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -62,7 +61,6 @@ def retarget_to_robot(
     out: PathLike | None = None,
     style: str = "habitus",
     settings: RobotSettings | None = None,
-    progress: Callable[[str], None] | None = None,
 ) -> OnRobot:
     """A motion on a humanoid robot, within the limits of its joints.
 
@@ -80,8 +78,6 @@ def retarget_to_robot(
     else:
         table = pairs if isinstance(pairs, RobotPairs) else read_pairs(pairs)
     motion = BodyMotion.of(at_rate(motion_of(source, body), fps))
-    if progress is not None:
-        progress(f"{motion.num_frames} frames on {model.name}")
     with one_blas_thread():  # the factors are of narrow bands: more threads only wait
         result = retargeted_to_robot(motion, model, table, settings or ROBOT)
     made = OnRobot(result.motion, robot_quality(result), result, motion)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.body.body_arrays import affine_regressor
 from habitus.body.measurements import find_soles
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
@@ -21,7 +22,8 @@ from habitus.fit.retarget.rig_matching import RigMatch, match_rig
 from habitus.fit.retarget.rig_motions import Feet, placed, planted, stand_slip
 
 MOST_VERTICES = 6000
-"""Vertices of a character that are held above the ground, feet apart: more cost time, not truth."""
+"""Vertices of a character that are held above the ground, besides those of its feet; more would
+only take time."""
 
 
 class Skin(NamedTuple):
@@ -114,15 +116,12 @@ def _body(
     if len(vertices) < 4:
         raise HabitusError(f"{shown(name)}: {len(vertices)} skinned vertices; expected a character")
     weights = skin.weights[kept] / skin.weights[kept].sum(axis=1, keepdims=True)
-    # affine coordinates of each joint among all vertices: exact, as nothing here changes shape
-    system = np.vstack([vertices.T, np.ones(len(vertices))])
-    regressor = np.linalg.lstsq(system, np.vstack([rest.T, np.ones(len(rest))]), rcond=None)[0]
     return BodyModel(
         name=name,
         v_template=vertices,
         shapedirs=np.zeros((len(vertices), 3, 1)),
         posedirs=None,
-        joint_regressor=regressor.T,
+        joint_regressor=affine_regressor(vertices, rest),
         skinning_index=index[kept],
         skinning_value=weights,
         parents=parents,

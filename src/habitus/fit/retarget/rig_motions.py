@@ -22,6 +22,8 @@ from habitus.fit.retarget.contacts import ContactSettings, ground_height, standi
 from habitus.fit.retarget.figures import Figure, figure_of_rig, pose_like
 from habitus.fit.retarget.recipe import RETARGET, RetargetSettings, grounded, same_turns
 from habitus.fit.retarget.rig_matching import RigMatch, match_rig
+from habitus.solve.minimize import minimize
+from habitus.solve.terms import Term
 
 LIMB_SD = 0.01
 """Metres by which a limb of a skeleton may differ from the body's that it stands for."""
@@ -29,7 +31,6 @@ TRUNK_SD = 0.03
 """Metres of trunk, shoulders and hips, whose joints each skeleton puts elsewhere."""
 OWN = 1e-4
 """Metres within which joints at rest are those of a body of ours."""
-STEPS = 20
 LEVEL = 0.03
 """Metres above the ground within which a foot stands on it."""
 _LIMBS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
@@ -133,16 +134,17 @@ def limb_betas(figure: Figure, body: BodyModel) -> Float[np.ndarray, " B"]:
     lengths = np.linalg.norm(figure.rest[there[:, 1]] - figure.rest[there[:, 0]], axis=1)
     sd = np.array([p[2] for p in used])
     moved = body.joint_shapedirs[ends[:, 1]] - body.joint_shapedirs[ends[:, 0]]
-    betas = np.zeros(body.num_betas)
-    for _ in range(STEPS):
+
+    def limbs(betas: np.ndarray):
         joints = body.rest_joints(betas)
         bones = joints[ends[:, 1]] - joints[ends[:, 0]]
         long = np.linalg.norm(bones, axis=1)
-        jacobian = np.einsum("nc,ncb->nb", bones / long[:, None], moved) / sd[:, None]
-        residual = (long - lengths) / sd
-        system = jacobian.T @ jacobian + np.eye(len(betas))
-        betas = betas - np.linalg.solve(system, jacobian.T @ residual + betas)
-    return betas
+        slopes = np.einsum("nc,ncb->nb", bones / long[:, None], moved) / sd[:, None]
+        return (long - lengths) / sd, {"betas": slopes}
+
+    prior = Term(lambda betas: (betas, {"betas": np.eye(body.num_betas)}))
+    start = {"betas": np.zeros(body.num_betas)}
+    return minimize({"limbs": Term(limbs), "prior": prior}, start, "dogleg").values["betas"]
 
 
 def _misfit(figure: Figure, body: BodyModel, betas: np.ndarray) -> str:

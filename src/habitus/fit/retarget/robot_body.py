@@ -6,7 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float, Int
+from trimesh.creation import capsule as trimesh_capsule
+from trimesh.geometry import align_vectors
 
+from habitus.body.body_arrays import affine_regressor
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.robot import TO_ROBOT, Robot
@@ -14,8 +17,8 @@ from habitus.fit.retarget.robot_pairs import RobotPairs
 from habitus.fit.retarget.robots import RobotMotion
 from habitus.rotations import rotvec_from_matrix
 
-RINGS, SIDES = 8, 16
-"""Facets of a capsule: along half of it, and around it."""
+RINGS, SIDES = 16, 16
+"""Facets of a capsule: along it, and around it."""
 ROD = 0.018
 """Radius (m) of the rods that are drawn between links."""
 LEAST = 0.02
@@ -62,15 +65,12 @@ def robot_body(robot: Robot, pairs: RobotPairs) -> BodyModel:
     turned = robot.zero.rotations[robot.joint_links] @ robot.anchors[..., None]
     pivots[robot.joint_links] += turned[..., 0]
     pivots = pivots @ TO_ROBOT
-    # affine coordinates of each joint among all vertices: exact, as nothing here changes shape
-    system = np.vstack([vertices.T, np.ones(len(vertices))])
-    regressor = np.linalg.lstsq(system, np.vstack([pivots.T, np.ones(len(pivots))]), rcond=None)
     return BodyModel(
         name=robot.name,
         v_template=vertices,
         shapedirs=np.zeros((len(vertices), 3, 1)),
         posedirs=None,
-        joint_regressor=regressor[0].T,
+        joint_regressor=affine_regressor(vertices, pivots),
         skinning_index=owners[:, None],
         skinning_value=np.ones((len(vertices), 1)),
         parents=robot.parents,
@@ -100,28 +100,8 @@ def capsule(ends: Float[np.ndarray, "2 3"], radius: float) -> Mesh:
     """A closed mesh of the points within ``radius`` of a segment, as nearly as facets allow."""
     axis = ends[1] - ends[0]
     length = float(np.linalg.norm(axis))
-    z = axis / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
-    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    x /= np.linalg.norm(x)
-    frame = np.stack([x, np.cross(z, x), z])
-    latitudes = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * RINGS)[1:-1]
-    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    ring = np.stack([np.cos(around), np.sin(around)], axis=-1)
-    rows = [
-        np.column_stack(
-            [radius * np.cos(a) * ring, np.full(SIDES, radius * np.sin(a) + length * (a > 0))]
-        )
-        for a in latitudes
-    ]
-    poles = np.array([[0.0, 0.0, -radius], [0.0, 0.0, length + radius]])
-    vertices = np.concatenate([*rows, poles]) @ frame + ends[0]
-    k, m = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
-    faces = []
-    for row in range(len(rows) - 1):
-        low, high = row * SIDES, (row + 1) * SIDES
-        faces += [np.column_stack([low + k, low + m, high + m])]
-        faces += [np.column_stack([low + k, high + m, high + k])]
-    last, south = (len(rows) - 1) * SIDES, len(rows) * SIDES
-    faces += [np.column_stack([m, k, np.full(SIDES, south)])]
-    faces += [np.column_stack([last + k, last + m, np.full(SIDES, south + 1)])]
-    return vertices, np.concatenate(faces)
+    upright = np.array([0.0, 0.0, 1.0])
+    place = np.array(align_vectors(upright, axis if length > 0.0 else upright), dtype=float)
+    place[:3, 3] = ends.mean(axis=0)
+    mesh = trimesh_capsule(length, radius, count=[RINGS, SIDES], transform=place)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)

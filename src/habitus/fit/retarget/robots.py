@@ -144,8 +144,9 @@ class RobotMotion:
 class RobotRetargeting:
     """A robot's motion, what it was made to follow, and how the solver ended.
 
-    ``scale``: of all places, as long as the robot's legs are to the person's. ``directions`` (T,
-    3) by segment and name are the person's; ``prints`` those of the left and the right foot.
+    ``scale``: of all places, the robot's legs to the person's. ``prints``: the targets of the left
+    and the right foot. ``status`` and ``iterations``: of the last stage
+    (`habitus.solve.banded.BandedSolution`).
     """
 
     motion: RobotMotion

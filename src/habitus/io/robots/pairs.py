@@ -1,6 +1,5 @@
 """Tables of which link of a robot is which segment of a body: TOML files, some of them shipped."""
 
-import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,10 @@ from habitus.fit.retarget.robot_pairs import (
     Segment,
     Sole,
 )
+from habitus.io.layouts.toml import sides
 from habitus.io.limits import MAX_DESCRIPTION_BYTES, read_text_file, read_toml
 from habitus.types import PathLike
 
-SIDES = re.compile(r"\[([^\[\]|]*)\|([^\[\]|]*)\]")
 TABLES = ("segments", "soles", "capsules")
 MOST = 1.0  # metres from a link's origin
 
@@ -98,19 +97,15 @@ def _both_sides(table: Any, kind: str) -> dict[str, dict[str, Any]]:
         raise HabitusError(f"{kind}: expected tables such as torso = {{ link = ... }}")
     out = {}
     for key, given in table.items():
-        if SIDES.search(key) is None:
-            out[key] = given
-            continue
-        for side in (0, 1):
-            out[SIDES.sub(lambda m, side=side: m[side + 1], key)] = {
-                name: _on_side(value, side) for name, value in given.items()
-            }
+        for side, name in enumerate(sides(key)):
+            out[name] = {part: _on_side(value, side) for part, value in given.items()}
     return out
 
 
 def _on_side(value: Any, side: int) -> Any:
+    """A name by its side's word, a place or direction with y of the other sign on the right."""
     if isinstance(value, str):
-        return SIDES.sub(lambda m: m[side + 1], value)
+        return sides(value)[min(side, len(sides(value)) - 1)]
     if side and isinstance(value, list):
         if len(value) == 3 and not any(isinstance(each, list) for each in value):
             x, y, z = value
