@@ -248,10 +248,10 @@ def frame_terms(robot, goal, frame, state, work, derive, gradient, matrix):
                 _add_row(columns, used, count, up, below, goal.floor_weight, gradient, matrix)
     cost += _clearance(robot, goal, work, derive, gradient, matrix)
     for i in range(len(state)):
-        apart = state[i] - goal.neutral[i]
-        cost += 0.5 * goal.neutral_weights[i] * apart**2
+        off = state[i] - goal.neutral[i]
+        cost += 0.5 * goal.neutral_weights[i] * off**2
         if derive:
-            gradient[i] += goal.neutral_weights[i] * apart
+            gradient[i] += goal.neutral_weights[i] * off
             matrix[i, i] += goal.neutral_weights[i]
     return cost
 

@@ -5,7 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.fit.retarget.robots import RobotRetargeting, clear_pairs, segment_distance
+from habitus.body.robot import LinkPoses, Robot
+from habitus.fit.retarget.robots import (
+    RobotRetargeting,
+    clear_pairs,
+    floor_points,
+    segment_distance,
+)
 from habitus.fit.verdict import Bound, Reason, Verdict, above, verdict_of
 
 AT_LIMIT = 1e-3
@@ -103,9 +109,9 @@ def robot_quality(result: RobotRetargeting, limits: RobotLimits = LIMITS) -> Rob
         directions[name] = np.rad2deg(np.max(angles, axis=0))
         joints = robot.joint_of_link[robot.path(link)]
         free[name] = ~at_limit[:, joints[joints >= 0]].any(axis=1)
-    slip, standing = _slip(result, links.rotations, links.origins)
-    penetration = max(0.0, -float(_lowest(result, links.rotations, links.origins).min()))
-    overlap = float(overlaps(result).max())
+    slip, standing = _slip(result, links)
+    penetration = max(0.0, -float(lowest_heights(result, links).min()))
+    overlap = float(overlaps(result, links).max())
     measured = RobotQuality(
         directions,
         free,
@@ -132,54 +138,48 @@ def _angle(
     return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(first - second, axis=1), 0.0, 1.0))
 
 
-def _slip(result: RobotRetargeting, turns: np.ndarray, origins: np.ndarray) -> tuple[float, float]:
+def _places(
+    robot: Robot, links: LinkPoses, name: str, points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "T n 3"]:
+    """Points of a link (m from its origin at zero) in the world."""
+    link = robot.link(name)
+    local = points @ robot.zero.rotations[link]
+    turned = np.einsum("tij,nj->tni", links.rotations[:, link], local)
+    return turned + links.origins[:, None, link]
+
+
+def _slip(result: RobotRetargeting, links: LinkPoses) -> tuple[float, float]:
     """Level speed of standing heels and toes (m/s, root mean square), seconds of any standing."""
-    robot, rate = result.motion.robot, result.motion.rate_hz
-    squares, any_stands = [], np.zeros(len(turns), bool)
+    rate = result.motion.rate_hz
+    squares, any_stands = [], np.zeros(result.motion.num_frames, bool)
     for sole, made in zip(result.pairs.soles, result.prints, strict=True):
-        link = robot.link(sole.link)
         first = len(sole.heel)
-        for points, rows in ((sole.heel, slice(0, first)), (sole.toes, slice(first, None))):
-            local = points.mean(axis=0) @ robot.zero.rotations[link]
-            place = (turns[:, link] @ local + origins[:, link])[:, :2]
+        ends = np.stack([sole.heel.mean(axis=0), sole.toes.mean(axis=0)])
+        places = _places(result.motion.robot, links, sole.link, ends)[..., :2]
+        for k, rows in enumerate((slice(0, first), slice(first, None))):
             stands = np.asarray(made.stands[:, rows].any(axis=1))
             any_stands |= stands
-            way = np.linalg.norm(np.diff(place, axis=0), axis=1)[stands[1:] & stands[:-1]]
-            squares.append((way * rate) ** 2)
+            way = np.linalg.norm(np.diff(places[:, k], axis=0), axis=1)
+            squares.append((way[stands[1:] & stands[:-1]] * rate) ** 2)
     squared = np.concatenate(squares)
     return float(np.sqrt(squared.mean())) if len(squared) else 0.0, any_stands.sum() / rate
 
 
-def _lowest(
-    result: RobotRetargeting, turns: np.ndarray, origins: np.ndarray
-) -> Float[np.ndarray, " T"]:
-    """Height of the lowest point of soles and capsules (m)."""
+def lowest_heights(result: RobotRetargeting, links: LinkPoses) -> Float[np.ndarray, " T"]:
+    """Height (m) of the lowest point of soles and capsules, in each frame."""
     robot = result.motion.robot
-    soled = {sole.link for sole in result.pairs.soles}
-    heights = []
-    for sole in result.pairs.soles:
-        link = robot.link(sole.link)
-        local = np.concatenate([sole.heel, sole.toes]) @ robot.zero.rotations[link]
-        heights.append(np.einsum("tj,nj->nt", turns[:, link, 2], local) + origins[:, link, 2])
-    for part in result.pairs.capsules.values():
-        if part.link not in soled:
-            link = robot.link(part.link)
-            local = part.ends @ robot.zero.rotations[link]
-            height = np.einsum("tj,nj->nt", turns[:, link, 2], local) + origins[:, link, 2]
-            heights.append(height - part.radius)
-    return np.concatenate(heights).min(axis=0)
+    heights = [
+        _places(robot, links, robot.link_names[link], place[None])[:, 0, 2] - radius
+        for link, place, radius in floor_points(robot, result.pairs)
+    ]
+    return np.min(heights, axis=0)
 
 
-def overlaps(result: RobotRetargeting) -> Float[np.ndarray, " T"]:
+def overlaps(result: RobotRetargeting, links: LinkPoses) -> Float[np.ndarray, " T"]:
     """The deepest overlap (m) of two capsules that are to keep clear, in each frame."""
-    turns, origins = result.motion.links()
     robot = result.motion.robot
     capsules = list(result.pairs.capsules.values())
-    ends = []
-    for part in capsules:
-        link = robot.link(part.link)
-        local = part.ends @ robot.zero.rotations[link]
-        ends.append(np.einsum("tij,nj->tni", turns[:, link], local) + origins[:, None, link])
+    ends = [_places(robot, links, part.link, part.ends) for part in capsules]
     depth = np.zeros(result.motion.num_frames)
     for a, b in clear_pairs(robot, result.pairs):
         reach = capsules[a].radius + capsules[b].radius

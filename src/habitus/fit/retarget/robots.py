@@ -18,7 +18,7 @@ from habitus.errors import HabitusError, listed
 from habitus.fit.retarget.contacts import ContactSettings
 from habitus.fit.retarget.robot_goal import Footprints, Person, footprints, leg_of, person_of
 from habitus.fit.retarget.robot_kernels import frame_costs, linearized
-from habitus.fit.retarget.robot_pairs import REQUIRED, RobotPairs
+from habitus.fit.retarget.robot_pairs import REQUIRED, RobotPairs, Sole
 from habitus.rotations import matrix_from_rotvec
 from habitus.solve.banded import BandedOptions, solve_banded
 
@@ -245,33 +245,14 @@ def robot_goal(
         for name, part in pairs.segments.items()
         for kind, axis in part.directions.items()
     ]
-    always, never = np.ones(len(hips)), np.zeros(len(hips))
-    points = [(pelvis, between, settings.hips * always, settings.hips * always, hips)]
-    floor = []
+    always = np.full(len(hips), settings.hips)
+    points = [_Point(pelvis, between, always, always, hips)]
     for sole, made in zip(pairs.soles, prints, strict=True):
-        link = robot.link(sole.link)
-        corners = np.concatenate([sole.heel, sole.toes])
-        for k, corner in enumerate(corners):
-            level = settings.level * made.stands[:, k]
-            points.append((link, corner, never, level, made.targets[:, k]))
-            floor.append((link, corner, 0.0))
-        for part in (slice(0, len(sole.heel)), slice(len(sole.heel), None)):
-            stand = np.where(made.stands[:, part].any(axis=1), settings.stand, 0.0)
-            where = np.asarray(made.targets[:, part].mean(axis=1))
-            middle = np.asarray(corners[part].mean(axis=0))
-            points.append((link, middle, stand, never, where))
-        free = np.where(made.stands.any(axis=1), 0.0, settings.swing)
-        points.append((link, sole.middle, free, free, made.middle))
+        points += _sole_points(robot.link(sole.link), sole, made, settings)
+    floor = floor_points(robot, pairs)
     capsules = list(pairs.capsules.values())
-    soled = {sole.link for sole in pairs.soles}
-    floor += [
-        (robot.link(part.link), end, part.radius)
-        for part in capsules
-        if part.link not in soled
-        for end in part.ends
-    ]
-    neutral = np.zeros(ROOT + robot.num_joints)
-    neutral_weights = np.full(ROOT + robot.num_joints, settings.neutral)
+    ends = [_local(robot, robot.link(part.link), part.ends) for part in capsules]
+    lengths = [np.linalg.norm(part.ends[1] - part.ends[0]) for part in capsules]
     return _Goal(
         references=np.ascontiguousarray(references),
         starts=starts,
@@ -279,28 +260,72 @@ def robot_goal(
         direction_axes=np.array([_local(robot, link, axis) for link, axis, *_ in directions]),
         direction_weights=np.array([weight for _, _, weight, _ in directions]),
         directions=np.ascontiguousarray(np.stack([way for *_, way in directions], axis=1)),
-        point_links=np.array([link for link, *_ in points]),
-        point_places=np.array([_local(robot, link, place) for link, place, *_ in points]),
-        point_weights=np.stack([weight for _, _, weight, _, _ in points], axis=1),
-        point_up_weights=np.stack([weight for *_, weight, _ in points], axis=1),
-        points=np.ascontiguousarray(np.stack([where for *_, where in points], axis=1)),
+        point_links=np.array([point.link for point in points]),
+        point_places=np.array([_local(robot, point.link, point.place) for point in points]),
+        point_weights=np.stack([point.level_weight for point in points], axis=1),
+        point_up_weights=np.stack([point.up_weight for point in points], axis=1),
+        points=np.ascontiguousarray(np.stack([point.target for point in points], axis=1)),
         floor_links=np.array([link for link, *_ in floor]),
         floor_places=np.array([_local(robot, link, place) for link, place, _ in floor]),
         floor_radii=np.array([radius for *_, radius in floor]),
         floor_weight=settings.floor,
         capsule_links=np.array([robot.link(part.link) for part in capsules], dtype=np.int64),
-        capsule_ends=np.array(
-            [_local(robot, robot.link(part.link), part.ends) for part in capsules]
-        ).reshape(-1, 2, 3),
+        capsule_ends=np.array(ends).reshape(-1, 2, 3),
         capsule_radii=np.array([part.radius for part in capsules], dtype=float),
-        capsule_lengths=np.array(
-            [np.linalg.norm(part.ends[1] - part.ends[0]) for part in capsules], dtype=float
-        ),
+        capsule_lengths=np.array(lengths, dtype=float),
         pairs=clear_pairs(robot, pairs),
         clearance_weight=settings.clearance,
-        neutral=neutral,
-        neutral_weights=neutral_weights,
+        neutral=np.zeros(ROOT + robot.num_joints),
+        neutral_weights=np.full(ROOT + robot.num_joints, settings.neutral),
     )
+
+
+class _Point(NamedTuple):
+    """A place on a link (m from its origin at zero), its target (T, 3), and weights (T,) of the
+    level and of the upright residual.
+    """
+
+    link: int
+    place: np.ndarray
+    level_weight: np.ndarray
+    up_weight: np.ndarray
+    target: np.ndarray
+
+
+def _sole_points(link: int, sole: Sole, made: Footprints, settings: RobotSettings) -> list[_Point]:
+    """Heights of a sole's corners and level places of heel and toes while they stand, and the
+    foot's middle while nothing of it stands.
+    """
+    corners = np.concatenate([sole.heel, sole.toes])
+    never = np.zeros(len(made.stands))
+    out = [
+        _Point(link, corner, never, settings.level * made.stands[:, k], made.targets[:, k])
+        for k, corner in enumerate(corners)
+    ]
+    for part in (slice(0, len(sole.heel)), slice(len(sole.heel), None)):
+        stand = np.where(made.stands[:, part].any(axis=1), settings.stand, 0.0)
+        where = np.asarray(made.targets[:, part].mean(axis=1))
+        out.append(_Point(link, corners[part].mean(axis=0), stand, never, where))
+    free = np.where(made.stands.any(axis=1), 0.0, settings.swing)
+    return [*out, _Point(link, sole.middle, free, free, made.middle)]
+
+
+def floor_points(robot: Robot, pairs: RobotPairs) -> list[tuple[int, np.ndarray, float]]:
+    """Links, places and radii of what stays above the ground: soles, and capsules of other
+    links.
+    """
+    soled = {sole.link for sole in pairs.soles}
+    soles = [
+        (robot.link(sole.link), corner, 0.0)
+        for sole in pairs.soles
+        for corner in (*sole.heel, *sole.toes)
+    ]
+    return soles + [
+        (robot.link(part.link), end, part.radius)
+        for part in pairs.capsules.values()
+        if part.link not in soled
+        for end in part.ends
+    ]
 
 
 def clear_pairs(robot: Robot, pairs: RobotPairs) -> np.ndarray:
@@ -313,8 +338,8 @@ def clear_pairs(robot: Robot, pairs: RobotPairs) -> np.ndarray:
     places = [robot.zero.origins[robot.link(part.link)] + part.ends for part in capsules]
     ends = np.array(places).reshape(-1, 2, 3)
     radii = np.array([part.radius for part in capsules])
-    apart = segment_distance(ends[chosen[:, 0]], ends[chosen[:, 1]]) - radii[chosen].sum(axis=1)
-    return chosen[apart > 0.0]
+    gaps = segment_distance(ends[chosen[:, 0]], ends[chosen[:, 1]]) - radii[chosen].sum(axis=1)
+    return chosen[gaps > 0.0]
 
 
 def segment_distance(
