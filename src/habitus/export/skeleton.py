@@ -22,7 +22,7 @@ from habitus.errors import HabitusError, shown
 from habitus.export.rigs import Rig
 
 AXES = ("along", "world")
-NOBODY = -1
+NO_JOINT = -1
 FLOOR_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Of a bone on the floor: z up, y backwards, so that it is not turned where z is up."""
 _SIDES = ("left", "right")
@@ -53,7 +53,7 @@ _STEEP = 0.7
 class Skeleton:
     """N bones, parents first, of a body of J joints.
 
-    carriers: the joint that each bone moves with, `NOBODY` for one on the floor; own: the bone of
+    carriers: the joint that each bone moves with, `NO_JOINT` for one on the floor; own: the bone of
     each joint; places (m) and axes: at the body's zero pose, in its axes; turned: how the rest pose
     turns each joint, and rest: how bones rest then.
     """
@@ -177,10 +177,10 @@ def skeleton_of(
     bones = _Bones(body, joints, frames, axes == "along")
     tilted = Rotation.from_euler("x", tilt if axes == "along" else 0.0, degrees=True).as_matrix()
     if root_bone:
-        bones.add(rig.root if rig else "root", NOBODY, NOBODY, np.zeros(3), FLOOR_AXES)
+        bones.add(rig.root if rig else "root", NO_JOINT, NO_JOINT, np.zeros(3), FLOOR_AXES)
     for joint, name in enumerate(body.joint_names):
         parent = body.parents[joint]
-        above = (0 if root_bone else NOBODY) if parent < 0 else bones.towards(parent, joint, rig)
+        above = (0 if root_bone else NO_JOINT) if parent < 0 else bones.towards(parent, joint, rig)
         called = rig.bones.get(name, name) if rig else name
         bones.own[joint] = bones.add(called, above, joint, joints[joint], frames[joint])
     for name, called in (rig.tips or {}).items() if rig else ():
@@ -282,14 +282,14 @@ def in_bones(
     for bone, (above, carrier) in enumerate(zip(skeleton.parents, skeleton.carriers, strict=True)):
         axes = skeleton.axes[above] if above >= 0 else np.eye(3)
         below = skeleton.axes[bone]
-        if carrier == NOBODY:
+        if carrier == NO_JOINT:
             quaternions[:, bone], moved[:, bone] = Rotation.from_matrix(below).as_quat(), floor
         elif skeleton.own[carrier] != bone:
             quaternions[:, bone] = Rotation.from_matrix(axes.T @ below).as_quat()
             moved[:, bone] = (skeleton.places[bone] - skeleton.places[above]) @ axes
         else:
             start = np.zeros(3)
-            if above >= 0 and skeleton.carriers[above] == NOBODY:
+            if above >= 0 and skeleton.carriers[above] == NO_JOINT:
                 start = floor
             elif above >= 0:
                 start = skeleton.places[above] - joints[skeleton.carriers[above]]

@@ -43,9 +43,9 @@ class KnownPointSettings:
     shape_prior: float = 1.0
     """a: betas are standard deviations; thousands of points outweigh it."""
     pose_prior: float = 0.01
-    """b, 1 / rad^2: keeps joints that no point tells of at rest."""
+    """b, 1 / rad^2: keeps joints that no point determines at rest."""
     frames: int = 8
-    """Of the shape stage, at most. By hand: whole surfaces tell a shape in one frame already."""
+    """Of the shape stage, at most. By hand: a whole surface determines the shape in one frame."""
     points: int = 1500
     """Of a frame's pose, spread evenly over the body; the shape stage takes twice as many. By
     hand."""
@@ -86,10 +86,15 @@ class KnownPointFit:
     @property
     def error_mm(self) -> dict[str, float]:
         """Mean and 95th percentile of the distances in mm."""
-        return {
-            "mean": 1e3 * float(self.distances.mean()),
-            "p95": 1e3 * float(np.percentile(self.distances, 95)),
-        }
+        return error_mm(self.distances)
+
+
+def error_mm(distances: Float[np.ndarray, "T N"]) -> dict[str, float]:
+    """Mean and 95th percentile of distances (m) in mm."""
+    return {
+        "mean": 1e3 * float(distances.mean()),
+        "p95": 1e3 * float(np.percentile(distances, 95)),
+    }
 
 
 def fit_known_points(

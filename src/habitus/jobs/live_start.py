@@ -125,8 +125,8 @@ class Stream:
 
 @dataclass(frozen=True, eq=False)
 class LivePerson:
-    """Somebody whose shape is known, as outputs are told of them. labels: of the N points that show
-    them; by: what these are, in words.
+    """A person whose shape is known, as sinks receive it. labels: of the N points that show them;
+    by: what these are, in words.
     """
 
     body: BodyModel

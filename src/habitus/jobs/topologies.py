@@ -21,7 +21,7 @@ from habitus.export.motion import write_motion
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.export.topology import topology_vertices
 from habitus.files import whole_folder
-from habitus.fit.known_points import KnownPointFit, fit_known_points
+from habitus.fit.known_points import KnownPointFit, error_mm, fit_known_points
 from habitus.fit.known_points import own_surface as rest_surface
 from habitus.fit.retarget.recipe import turned
 from habitus.fit.verdict import Verdict
@@ -40,7 +40,7 @@ MODEL_BETAS = 16
 FILES = (FIT_FILE, METRICS)
 MAX_RATE = 1e4
 REST_RATE = 30.0
-"""Hz of vertices whose file tells no rate."""
+"""Hz of vertices whose file names no rate."""
 _JOINTS = {"smpl": "smplh", "smplx": "smplx", "mhr": "smplx"}
 """Ours that a topology's vertices move: SMPL's have fingers, the others jaw and eyes, too."""
 _TRIED = 4
@@ -64,7 +64,7 @@ class RegisteredVertices:
     @property
     def error_mm(self) -> dict[str, float]:
         """Mean and 95th percentile of the distances in mm."""
-        return _error_mm(self.distances)
+        return error_mm(self.distances)
 
     def save(self, folder: PathLike) -> None:
         """Write body.npz, which all commands read, and metrics.json. Raises HabitusError."""
@@ -167,12 +167,12 @@ def _said(fit: KnownPointFit, what: str) -> str:
     return f"{what}: {error['mean']:.1f} mm off on average, 95 % {error['p95']:.1f} mm"
 
 
-def _upright(asked: str, told: str | None, fit: KnownPointFit) -> str:
+def _upright(asked: str, declared: str | None, fit: KnownPointFit) -> str:
     """The axis that points up."""
     given = signed_axis(asked)
     if given is not None:
         return given
-    axis = signed_axis(told)
+    axis = signed_axis(declared)
     if axis is not None:
         return axis
     body = matrix_from_rotvec(fit.pose[:, 0])[:, :, 1].mean(0)
@@ -194,7 +194,7 @@ class SolvedModel:
     @property
     def error_mm(self) -> dict[str, float]:
         """Mean and 95th percentile of the distances in mm."""
-        return _error_mm(self.distances)
+        return error_mm(self.distances)
 
     def save(self, path: PathLike) -> None:
         """Write the npz in AMASS's names: ``poses`` (T, 3 J), ``trans``, ``betas``, ``gender``,
@@ -257,10 +257,3 @@ def points_of(body: BodyModel, vertices: np.ndarray) -> tuple[np.ndarray, Float[
     if (face[vertices] < 0).any():
         raise HabitusError(f"{body.name} has vertices without a face; get the file again")
     return face[vertices], np.eye(3)[corner[vertices]]
-
-
-def _error_mm(distances: np.ndarray) -> dict[str, float]:
-    return {
-        "mean": 1e3 * float(distances.mean()),
-        "p95": 1e3 * float(np.percentile(distances, 95)),
-    }

@@ -37,7 +37,7 @@ MEASURED = {
     "hip": "hip_circumference_m",
     "inseam": "inseam_m",
 }
-NOBODY = "(none)"
+NO_JOINT = "(none)"
 _FPS = 30.0
 
 
@@ -67,7 +67,7 @@ class BodyPanel:
                 "landmarks", False, disabled=not body.landmarks
             )
             self.named = server.gui.add_dropdown(
-                "name", (NOBODY, *body.joint_names, *(body.landmarks or {}))
+                "name", (NO_JOINT, *body.joint_names, *(body.landmarks or {}))
             )
             self.rest = server.gui.add_button("at rest")
         for slider in (*self.betas, self.joints, self.landmarks, self.named):

@@ -187,12 +187,12 @@ def joined(
     mean = averaged(each, body)
     if len(each) > 1:
         one, other = (places.on(body.v_template, body.faces) for places in each)
-        told("disagreement", one - other, matched)
+        show_distances("disagreement", one - other, matched)
     corners = body.faces[mean.face]
     return SurfaceMap(name, mean.face, corners, mean.barycentric, matched, faces, body.num_vertices)
 
 
-def told(name: str, off: np.ndarray, matched: np.ndarray) -> None:
+def show_distances(name: str, off: np.ndarray, matched: np.ndarray) -> None:
     """Distances (m) in mm."""
     rest = np.linalg.norm(off, axis=1)[matched]
     print(f"  {name}: {1e3 * rest.mean():.2f} mm mean, {1e3 * np.percentile(rest, 95):.2f} mm 95 %")
@@ -223,7 +223,7 @@ def main() -> None:
             made = joined(name, each, matched, meshes[0].faces, body)
         print(name, made.num_vertices, "vertices,", int(matched.sum()), "matched")
         for (path, _), mesh in zip(paths, meshes, strict=True):
-            told(path.name, made.vertices(mesh.surface) - mesh.mesh, matched)
+            show_distances(path.name, made.vertices(mesh.surface) - mesh.mesh, matched)
         np.savez_compressed(FOLDER / f"{name}.npz", **map_arrays(made))
         print(" ", (FOLDER / f"{name}.npz").stat().st_size, "bytes")
 

@@ -5,7 +5,7 @@ A frame is (C, P, K, 3): pixels and confidence of each keypoint of up to P peopl
 NaN where missing. What it shows of the person is (C K, 3), ideal pixels and confidence; its
 distance from the body is that of the keypoint from the pixel's ray, at the keypoint's depth.
 
-The person is whoever is near the pixels that the last poses predict (`people.near_prediction`); who
+The person is the one near the pixels that the last poses predict (`people.near_prediction`); who
 is not followed yet is the group of detections whose rays meet that has most keypoints.
 """
 

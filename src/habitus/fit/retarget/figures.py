@@ -211,8 +211,8 @@ def _with_sides(places: np.ndarray, match: RigMatch, up: np.ndarray) -> RigMatch
     feet = [side for side in ("left", "right") if f"{side}_foot" in joints]
     if not feet:
         raise HabitusError(
-            "joints of unknown names and no toes: nothing tells left from right; rename its joints "
-            "as a known skeleton has them"
+            "joints of unknown names and no toes: left and right cannot be distinguished; rename "
+            "its joints as a known skeleton has them"
         )
     forward = sum(places[joints[f"{s}_foot"]] - places[joints[f"{s}_ankle"]] for s in feet)
     across = np.cross(up, forward)
