@@ -24,8 +24,8 @@ ALIKE = 0.05
 class RigMatch:
     """Numbers of a rig's joints by our names; ``how`` says which table, or that the tree decided.
 
-    ``sided`` is False where left and right are not yet distinguished. ``unmatched`` lists joints without
-    a counterpart, except ends of bones.
+    ``sided`` is False where left and right are not yet distinguished. ``unmatched`` lists joints
+    without a counterpart, except ends of bones.
     """
 
     joints: Mapping[str, int]
