@@ -5,7 +5,10 @@ sensors? (T 4.6.1)
 
 Each person is seen in two views 45 degrees apart and fitted, nothing being told of pose, place,
 turn and sex; the table holds surfaces, measurements beside "guess the mean" and the best body of
-the person's sex ("registered scan"), convergence, time. people.npz comes from
+the person's sex ("registered scan"), convergence, time. --wide: people of
+`habitus_lab.population.wide`, unlike the body's own. --women, --men: people about surfaces that
+no body of ours made, varied along the neutral body's betas across the direction of sex, with skin
+of their own as --wide has it. people.npz comes from
 `lab/src/habitus_lab/default_body/new_people.py`; without it people are bodies of the model with 4 mm of smooth
 skin off it, which is easier. --cases measures what is lost without colour, without the empty room,
 with one view, with the neutral body and without the steps with colour, at a third of the
@@ -15,7 +18,7 @@ place of ours; rows are kept in the file as they are made, so that a run that wa
 
 import argparse
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,9 +33,14 @@ from habitus.fit.points.depth import fit_views
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import PreparedView, segment
+from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import load_body
+from habitus.io.topologies import topology_of
+from habitus.jobs.topologies import register_vertices
+from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import RgbdCapture
 from habitus_lab.population.rgbd_people import Scene, planted_rest, rgbd_scene
+from habitus_lab.population.wide import wide_betas, wide_offsets, wide_rest
 
 MEASURES = {
     "height_m": 1.0,
@@ -62,9 +70,12 @@ def main() -> None:
     """Fit everybody, print the table, write it."""
     options = _options()
     body = load_body("default")
-    rest, female = _people(body, options)
+    people = _people(body, options)
+    foreign = [path.name for path in (*options.women, *options.men)]
+    named = options.people.name if options.people else ("wide" if options.wide else "planted")
+    named = " ".join(foreign) or named
     settings = {
-        "people_file": options.people.name if options.people else "planted",
+        "people_file": named,
         "seed": options.seed,
     }
     rows = written_rows(options.out, "rows", **settings)
@@ -74,7 +85,7 @@ def main() -> None:
         for sensor in options.sensors:
             for case in options.cases:
                 if (k, sensor, case) not in done:
-                    rows.append(_row(body, rest[k], bool(female[k]), k, sensor, case, options))
+                    rows.append(_row(body, people[k], k, sensor, case, options))
                     print(_line(rows[-1]), flush=True)
                     write_json_quietly(options.out, {**settings, "machine": info, "rows": rows})
     tables = {
@@ -97,34 +108,71 @@ def write_json_quietly(path: Path, content: dict[str, Any]) -> None:
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _people(body: BodyModel, options: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
-    """Rest surfaces (N, V, 3) and who is a woman (N,)."""
+@dataclass(frozen=True, eq=False)
+class Person:
+    """At rest without hair (m), whether a woman, and hair (m) if it is no flat cap."""
+
+    rest: np.ndarray
+    female: bool
+    hair: np.ndarray | None = None
+
+
+def _people(body: BodyModel, options: argparse.Namespace) -> list[Person]:
+    """Everybody."""
     if options.people is not None:
         with np.load(options.people) as file:
-            return file["vertices"][: options.count].astype(float), file["female"][: options.count]
+            rests = file["vertices"][: options.count].astype(float)
+            return [Person(*row) for row in zip(rests, map(bool, file["female"]), strict=False)]
     rngs = [np.random.default_rng([options.seed, k]) for k in range(options.count)]
-    models = [load_body(("female", "male")[k % 2]) for k in range(2)]
-    return np.stack([planted_rest(models[k % 2], rng) for k, rng in enumerate(rngs)]), np.arange(
-        options.count
-    ) % 2 == 0
+    sexes = [_loaded(("female", "male")[k % 2]) for k in range(options.count)]
+    if options.women or options.men:
+        files = [*options.women, *options.men]
+        bases = [registered_file(path) for path in files]
+        own = [k % len(files) for k in range(options.count)]
+        return [
+            Person(foreign_rest(body, bases[j], rng), j < len(options.women))
+            for j, rng in zip(own, rngs, strict=True)
+        ]
+    if options.wide:
+        made = [wide_rest(each, rng) for each, rng in zip(sexes, rngs, strict=True)]
+        return [Person(rest, k % 2 == 0, hair) for k, (rest, hair) in enumerate(made)]
+    return [
+        Person(planted_rest(each, rng), k % 2 == 0)
+        for k, (each, rng) in enumerate(zip(sexes, rngs, strict=True))
+    ]
+
+
+def registered_file(path: Path) -> np.ndarray:
+    """(V, 3) a mesh of SMPL's or MHR's topology on ours, at rest."""
+    topology = topology_of(len(read_mesh(path)[0]))
+    motion = register_vertices(path, topology, "neutral", own_surface=True).motion
+    return np.asarray(motion.body.v_template)
+
+
+def foreign_rest(body: BodyModel, base: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(V, 3) a random person about a surface at rest, of the same sex."""
+    betas = wide_betas(body, rng)
+    assert body.female_direction is not None
+    direction = body.female_direction[0]
+    betas -= direction * (direction @ betas) / (direction @ direction)
+    rest = base + body.rest_vertices(betas) - body.v_template
+    return rest + wide_offsets(body, rng)[0][:, None] * vertex_normals(rest, body.faces)
 
 
 def _row(
     body: BodyModel,
-    rest: np.ndarray,
-    female: bool,
+    person: Person,
     k: int,
     sensor: str,
     case: str,
     options: argparse.Namespace,
 ) -> dict[str, Any]:
+    rest, female = person.rest, person.female
     rng = np.random.default_rng([options.seed, k, 17])
     arms = (45.0, 45.0, 10.0)[k % 3]
-    more: dict[str, Any] = {
-        "folded": {"arms": 68.0, "folded": True},
-        "third": {"arms": arms, "scale": 1 / 3},
-    }
-    scene = rgbd_scene(body, rest, rng, sensor=sensor, **more.get(case, {"arms": arms}))
+    more: dict[str, Any] = {"folded": {"arms": 68.0, "folded": True}, "third": {"scale": 1 / 3}}
+    stance = {"arms": arms} | more.get(case, {})
+    scene = rgbd_scene(body, rest, rng, sensor=sensor, hair=person.hair, **stance)
     capture, kept = _as_case(scene, case)
     bodies = (
         body
@@ -145,6 +193,7 @@ def _row(
         found.append(float(np.linalg.norm(surface - true, axis=1).mean()))
     best = registered(body if case == "neutral" else _loaded("female" if female else "male"), rest)
     betas = fit.body.rest_vertices(fit.betas)
+    assert fit.skin is not None
     skin = along_normals(betas, fit.skin, fit.body)
     measured, by_betas, true, ideal = (
         _measures(fit.body, one) for one in (skin, betas, rest, best)
@@ -153,6 +202,7 @@ def _row(
         "person": k,
         "female": female,
         "body": fit.body_name,
+        "body_costs": dict(fit.body_costs),
         "sensor": sensor,
         "case": case,
         "vertex_mm": [1e3 * value for value in found],
@@ -242,7 +292,11 @@ def _table(rows: list[dict[str, Any]], sensor: str, case: str) -> dict[str, Any]
         "vertex_mm median, p90, worst": [
             round(float(v), 1) for v in (*np.percentile(vertex, (50, 90)), vertex.max())
         ],
-        "sex": f"{sum(r['body'] == ('female' if r['female'] else 'male') for r in some)} told",
+        "sex right, open, wrong": [
+            sum(row["body"] == ("female" if row["female"] else "male") for row in some),
+            sum(row["body"] == "neutral" for row in some),
+            sum(row["body"] == ("male" if row["female"] else "female") for row in some),
+        ],
         "came home": int((np.array([max(row["vertex_mm"]) for row in some]) < 1e3 * LOST).sum()),
         "verdicts": {
             level: sum(row["verdict"] == level for row in some)
@@ -291,6 +345,9 @@ def _options() -> argparse.Namespace:
     arguments.add_argument(
         "--people", type=Path, help="people.npz of lab/src/habitus_lab/default_body/new_people.py"
     )
+    arguments.add_argument("--wide", action="store_true", help="people unlike the body's own")
+    arguments.add_argument("--women", type=Path, nargs="+", default=[], help="meshes: see above")
+    arguments.add_argument("--men", type=Path, nargs="+", default=[])
     arguments.add_argument("--count", type=int, default=40)
     arguments.add_argument("--sensors", nargs="+", default=["kinect-v1", "azure-kinect"])
     arguments.add_argument("--cases", nargs="+", choices=CASES, default=["full"])

@@ -62,6 +62,7 @@ def depth_metrics(fit: RgbdFit) -> dict[str, Any]:
         "appearance": _appearance(fit),
         "status": fit.status,
         "costs": dict(fit.costs),
+        "body_costs": dict(fit.body_costs),
         "stage_seconds": {**seconds, "total": sum(seconds.values())},
         "body_measurements": dict(fit.measurements),
         "gender": gender_entry(_female_probability(fit), fit.gender),

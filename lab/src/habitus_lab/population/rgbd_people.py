@@ -58,19 +58,21 @@ def rgbd_scene(
     arms: float = 45.0,
     folded: bool = False,
     scale: float = 1.0,
+    hair: Float[np.ndarray, " V"] | None = None,
     name: str = "person",
 ) -> Scene:
     """A person whose rest surface is given, before a sensor, turned by so many degrees in each
     view.
 
     arms: degrees that they hang below the level (an A-pose has 45, a T-pose 0). folded: forearms
-    before the belly, in each person somewhat differently. scale: of the images' sides.
+    before the belly, in each person somewhat differently. scale: of the images' sides. hair:
+    metres on each vertex, in place of a flat cap of 5 mm.
     """
     kind = SENSORS[sensor] if isinstance(sensor, str) else sensor
     kind = smaller(kind, scale)
     surfaces = _posed(body, rest, turns, arms, folded, rng)
     albedo = person_albedo(body, rng)
-    dressed = surfaces + _layers(body)[:, None] * vertex_normals(surfaces, body.faces)
+    dressed = surfaces + _layers(body, hair)[:, None] * vertex_normals(surfaces, body.faces)
     light = room_light(rng)
     room = _room(rng)
     depth_camera, colour_camera, wrong = _cameras(kind, rng)
@@ -200,10 +202,12 @@ def person_albedo(body: BodyModel, rng: np.random.Generator) -> Float[np.ndarray
     return np.clip(colour, 0.02, 0.95)
 
 
-def _layers(body: BodyModel) -> Float[np.ndarray, " V"]:
-    """Metres that hair and clothing lie on the skin."""
+def _layers(
+    body: BodyModel, thick: Float[np.ndarray, " V"] | None = None
+) -> Float[np.ndarray, " V"]:
+    """Metres that hair (of its own thickness, or a flat cap) and clothing lie on the skin."""
     hair, shirt, shorts = dressed(body)
-    return HAIR * hair + CLOTH * (shirt | shorts)
+    return (HAIR * hair if thick is None else thick) + CLOTH * (shirt | shorts)
 
 
 def room_light(rng: np.random.Generator) -> Float[np.ndarray, "9 3"]:

@@ -56,23 +56,46 @@ def wide_person(body: BodyModel, stance: str, rng: np.random.Generator) -> WideP
     joints.
     """
     names = body.joint_names
-    spread = np.sqrt((FREEDOM - 2) / FREEDOM) * WIDER
-    betas = np.clip(spread * rng.standard_t(FREEDOM, body.num_betas), -MAX_BETA, MAX_BETA)
+    betas = wide_betas(body, rng)
     pose = posed_near(WIDE_STANCES[stance], names, rng)
     hands = tuple(str(rng.choice(list(HAND_POSES))) for _ in SIDES)
     for side, grip in zip(SIDES, hands, strict=True):
         for joint, rotation in hand_pose(body, grip, (side,)).items():
             pose[names.index(joint)] = rotation + 0.1 * rng.normal(size=3)
     surface = np.asarray(body(betas, pose).vertices)
-    normal = vertex_normals(surface, body.faces)
-    rest = body.v_template
+    off = sum(wide_offsets(body, rng))
+    surface = surface + off[:, None] * vertex_normals(surface, body.faces)
+    return WidePerson(surface, stance, (hands[0], hands[1]), pose)
+
+
+def wide_rest(
+    body: BodyModel, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, " V"]]:
+    """A random person at rest without hair (m), and the hair's thickness at each vertex (m)."""
+    rest = body.rest_vertices(wide_betas(body, rng))
+    skin, hair = wide_offsets(body, rng)
+    return rest + skin[:, None] * vertex_normals(rest, body.faces), hair
+
+
+def wide_betas(body: BodyModel, rng: np.random.Generator) -> Float[np.ndarray, " B"]:
+    """Betas of a random person."""
+    spread = np.sqrt((FREEDOM - 2) / FREEDOM) * WIDER
+    return np.clip(spread * rng.standard_t(FREEDOM, body.num_betas), -MAX_BETA, MAX_BETA)
+
+
+def wide_offsets(
+    body: BodyModel, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
+    """How far skin and hair lie outwards of the body's surface (m): skin, then hair on it."""
+    rest, names = body.v_template, body.joint_names
     still = np.asarray(body.skinning_weights)[
         :, [k for k, name in enumerate(names) if is_bony(name)]
     ].sum(1)
-    off = rng.uniform(*FIELD) * smooth_field(rest, rng)[:, 0] * (1.0 - 0.75 * still)
+    skin = rng.uniform(*FIELD) * smooth_field(rest, rng)[:, 0] * (1.0 - 0.75 * still)
+    hair = np.zeros(len(rest))
     if rng.random() < 0.5:
-        off += rng.uniform(*HAIR) * _scalp(body)
-    return WidePerson(surface + off[:, None] * normal, stance, (hands[0], hands[1]), pose)
+        hair = rng.uniform(*HAIR) * _scalp(body)
+    return skin, hair
 
 
 def is_bony(joint: str) -> bool:
