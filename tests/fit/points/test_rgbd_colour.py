@@ -14,12 +14,13 @@ from habitus.errors import HabitusError
 from habitus.fit.points.appearance import edges_of, find_appearance, log_smoothness
 from habitus.fit.points.colour_terms import WHITE, colour_equations
 from habitus.fit.points.colour_views import ColourLevel, Look, Moving, ViewRows, view_rows
-from habitus.fit.points.depth import _chosen, _Coarse, _with_colour, fit_state
+from habitus.fit.points.depth import _likely_bodies, _with_colour, fit_state
 from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.skin_offsets import SkinField
+from habitus.io.models.bodies import load_body
 from habitus.mesh.shapes import sphere
 from habitus.observe.camera import RgbdCapture
 from habitus.render.triangles import Triangles
@@ -175,22 +176,23 @@ def test_eliminating_albedo_changes_no_step():
 
 def test_the_body_that_explains_the_views_is_taken(plain):
     body, scene, found = plain
-    stout = replace(body, v_template=body.v_template * [1.5, 1.0, 1.5], finer=None)
+    wide = body.v_template * [1.5, 1.0, 1.5]
+    stout = replace(body, v_template=wide, finer=None, female_direction=None, female_rows=None)
     one = RgbdCapture("one view", scene.capture.views[1:])
-    bodies = {"neutral": body, "right": body, "wrong": stout}
+    bodies = {"neutral": stout, "right": body, "wrong": stout}
     settings = replace(RgbdSettings(), colour_levels=())
-    told = fit_state(one, bodies, settings, start=found.state.pose[1:])
-    assert told.kind == "right" and told.tried["wrong"] > told.tried["right"] + settings.body_margin
+    fit = fit_state(one, bodies, settings, start=found.state.pose[1:])
+    assert fit.kind == "right" and fit.tried["wrong"] > fit.tried["right"] + 20.0
+    assert list(fit.tried) == ["neutral", "right", "wrong"]
 
 
-def test_bodies_that_explain_the_views_alike_leave_the_first():
-    margin = RgbdSettings().body_margin
-    near, far = (
-        _Coarse(name, None, None, (9.0, cost))
-        for name, cost in (("a", 100.0), ("b", 100.0 + 2.0 * margin))
-    )
-    assert _chosen([far, near], margin) is near and _chosen([near], margin) is near
-    assert _chosen([near, replace(near, name="c")], margin) is None and _chosen([], margin) is None
+@pytest.mark.parametrize("sex", ["female", "male"])
+def test_the_body_of_the_sex_that_the_shape_has_is_tried(sex):
+    neutral = load_body("neutral")
+    weights, _ = neutral.female_direction
+    betas = (3.0 if sex == "female" else -3.0) * weights / np.linalg.norm(weights)
+    assert _likely_bodies(neutral, betas, ["female", "male"]) == [sex]
+    assert _likely_bodies(load_body("female"), betas, ["a", "b"]) == ["a", "b"]
 
 
 def test_as_many_poses_as_views(plain):

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from habitus.body.gender import female_probability
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
@@ -36,8 +37,8 @@ class ViewsFit:
     """Result of all stages: the chosen body and its name; the state, the skin offset (V,; m) and
     the observed surfaces, which include skin offset, clothes and hair; the prepared views; light
     and albedo (None without colours); the cost before each step and by term; the cost of each
-    other body after the coarse stages; the misfit of each view at the start; seconds by stage;
-    ``notes`` name the views that were left out, and why.
+    body that was tried, after the coarse stages; the misfit of each view at the start; seconds by
+    stage; ``notes`` name the views that were left out, and why.
     """
 
     body: BodyModel
@@ -65,13 +66,13 @@ def fit_state(
 ) -> ViewsFit:
     """Shape, poses and places: E_C + E_D + E_F + E_P + E_S + E_Q (T eq. 4.3), and the outlines.
 
-    bodies: one, or several by name: the first finds the start, and of the others, men's and
-    women's, the one is fitted that explains depth much better than its rivals; the first where none
-    does. turns: degrees by which the person is turned in each view, to the person's left; unknown
-    ones are None. start: a pose for each view to begin with in place of trying some, turned by up
-    to 30 degrees otherwise; the translation comes from the person's pixels. Views without a person
-    are left out and named in ``notes``. Raises HabitusError where no view shows a person, and for
-    another number of turns or poses than views.
+    bodies: one, or several by name: the first, neutral one finds the start. Where its shape is read
+    as a woman's or a man's (`habitus.body.gender`), that body is tried, and taken if it explains
+    depth better than the first. turns: degrees by which the person is turned in each view, to the
+    person's left; unknown ones are None. start: a pose for each view to begin with in place of
+    trying some, turned by up to 30 degrees otherwise; the translation comes from the person's
+    pixels. Views without a person are left out and named in ``notes``. Raises HabitusError where no
+    view shows a person, and for another number of turns or poses than views.
     """
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
@@ -101,10 +102,10 @@ def _fitted(
     energy = DepthEnergy.of(bodies[first], views, settings)
     start, means, misfits = find_start(energy, turns, given)
     clock.append(time.perf_counter())
-    rivals = [
-        _rival(name, body, energy, start, means) for name, body in bodies.items() if name != first
-    ]
-    chosen = _chosen(rivals, settings.body_margin) or _coarse(first, energy, start, means)
+    neutral = _coarse(first, energy, start, means)
+    names = _likely_bodies(bodies[first], neutral.state.betas, [*bodies][1:])
+    rivals = [_rival(name, bodies[name], energy, start, means) for name in names]
+    chosen = min([neutral, *rivals], key=lambda one: one.history[-1])
     energy = chosen.energy
     field = SkinField.of(energy.body, settings)
     state, means = retry_limbs(energy, chosen.state, means)
@@ -129,7 +130,7 @@ def _fitted(
         appearance=shown,
         costs=history if ended is settled else (*history, *ended.history),
         terms=dict(ended.costs),
-        tried={rival.name: rival.history[-1] for rival in rivals},
+        tried={one.name: one.history[-1] for one in (neutral, *rivals) if len(bodies) > 1},
         start_misfit=tuple(misfits),
         seconds=seconds,
         status=ended.status,
@@ -185,15 +186,18 @@ def _coarse(name: str, energy: DepthEnergy, state: BodyState, means: np.ndarray)
     return _Coarse(name, energy, coarse.state, coarse.history)
 
 
-def _chosen(rivals: list[_Coarse], margin: float) -> _Coarse | None:
-    """Of women's and men's bodies the one that explains the views much better than the other; None
-    where none does.
+def _likely_bodies(first: BodyModel, betas: Float[np.ndarray, " B"], names: list[str]) -> list[str]:
+    """Of women's and men's bodies the one that a shape of the first is read as; all of them where
+    it has no classifier.
+
+    Costs alone do not tell sexes apart: a real person lies in neither body's space, and the wider
+    one explains depth better.
     """
-    ranked = sorted(rivals, key=lambda one: one.history[-1])
-    sure = len(ranked) == 1 or (
-        len(ranked) > 1 and ranked[1].history[-1] - ranked[0].history[-1] > margin
-    )
-    return ranked[0] if sure else None
+    probability = female_probability(first, betas, 0.0)
+    if probability is None:
+        return names
+    said = "female" if probability > 0.5 else "male"
+    return [name for name in names if name == said]
 
 
 def _with_colour(
@@ -256,6 +260,7 @@ def fit_views(
         evidence=evidence,
         appearance=fit.appearance,
         costs=fit.terms,
+        body_costs=fit.tried,
         stage_seconds={**fit.seconds, "judge": time.perf_counter() - began},
         settings=asdict(settings),
         warnings=(
@@ -272,10 +277,10 @@ def fit_views(
 
 def _who(fit: ViewsFit) -> str:
     """Which body was taken, and why."""
-    if fit.kind not in fit.tried:
+    if fit.kind == next(iter(fit.tried)):
         return (
-            "women's and men's bodies explain the views equally well: the neutral one was kept; "
-            "choose with --body female or male"
+            "the views do not determine the sex: the neutral body was kept; choose with --body "
+            "female or male"
         )
     return (
         f"the {fit.kind} body explains the views best; --body neutral, female or male "

@@ -373,9 +373,6 @@ class RgbdSettings:
     """Geman-McClure's of the outline, at least: it is searched across more than its noise."""
     floor_scale: float = 0.02
     """Metres off the floor at which a sole weighs a quarter: a heel may be lifted."""
-    body_margin: float = 20.0
-    """By which the energy of a woman's or a man's body must be the lower one: 28 of 28 simulated
-    people had 69 at least."""
     explained_distance: float = 0.05
     """Metres from the body at which a pixel of the person is not explained by it."""
     judged_stride: int = 3
