@@ -9,10 +9,12 @@ import numpy as np
 from foreign_rigs import MIXAMO
 from scipy.spatial.transform import Rotation
 
+from habitus.export.fbx.motion import Curves
 from habitus.export.fbx.nodes import Node, document
 from habitus.export.fbx.scene import ROOT, Objects, prop, props, top_nodes
 from habitus.io.models.bodies import load_body
 from habitus.io.motions.fbx import ORDERS
+from habitus.io.motions.fbx_nodes import read_document
 
 
 def write_fbx_character(
@@ -25,9 +27,13 @@ def write_fbx_character(
     version: int = 7400,
     posed: float = 0.3,
     step: int = 1,
+    frames: int = 0,
+    skinned: bool = True,
+    pivots: bool = True,
+    plain: bool = False,
 ) -> None:
     """Write it as binary .fbx. scale: of the armature. unit: UnitScaleFactor. posed: radians by
-    which nodes are turned from the bind pose.
+    which nodes are turned from the bind pose. frames: of a motion of both shoulders. plain: PreRotation alone turns joints at rest.
     """
     body, rng = load_body("default"), np.random.default_rng(seed)
     pose = np.zeros((body.num_joints, 3))
@@ -53,13 +59,21 @@ def write_fbx_character(
         parent = body.parents[k]
         local = np.linalg.inv(world[parent] if parent >= 0 else armature) @ world[k]
         before, after = Rotation.random(2, rng)
+        if plain:
+            before, after = Rotation.from_matrix(local[:3, :3]), Rotation.identity()
         order = int(rng.integers(0, 6))
         turn = before.inv() * Rotation.from_matrix(local[:3, :3]) * after
         turn = Rotation.from_rotvec(posed * rng.normal(size=3)) * turn
         axes = ["xyz".index(axis) for axis in ORDERS[order]]
         angles = np.zeros(3)
         angles[axes] = turn.as_euler(ORDERS[order], degrees=True)
+        offset, pivot, shift = 10.0 * pivots * rng.normal(size=(3, 3))
+        angled = (before * turn * after.inv()).as_matrix()
+        place = local[:3, 3] - offset - pivot - angled @ (shift - pivot)
         extra = [
+            _triple("RotationOffset", offset),
+            _triple("RotationPivot", pivot),
+            _triple("ScalingOffset", shift),
             prop("RotationActive", "bool", "", "", 1),
             prop("RotationOrder", "enum", "", "", order),
             _triple("PreRotation", before.as_euler("xyz", degrees=True)),
@@ -69,14 +83,21 @@ def write_fbx_character(
             objects,
             f"rig:{MIXAMO.get(name, 'extra ' + name)}",
             "LimbNode",
-            local[:3, 3],
+            place,
             angles,
             [1.0] * 3,
             extra,
         )
         objects.link(model, models[parent] if parent >= 0 else root)
         models.append(model)
-    _skin(objects, body, vertices, world, models, step)
+    if skinned:
+        _skin(objects, body, vertices, world, models, step)
+    if frames:
+        curves = Curves(objects, "none", frames, 30.0)
+        wave = 40.0 * np.sin(np.arange(frames)[:, None] / 5.0) * [1.0, 0.5, 0.2]
+        for side in ("left", "right"):
+            joint = models[body.joint_names.index(f"{side}_shoulder")]
+            curves.add(joint, "Lcl Rotation", "R", "XYZ", wave, np.full(3, 1e3))
     path.write_bytes(document(_scene(objects, unit), version))
 
 
@@ -88,7 +109,11 @@ def _model(objects, name, form, place, angles, scaling, extra=()) -> np.int64:
     values = (("Translation", place), ("Rotation", angles), ("Scaling", scaling))
     moved = [prop(f"Lcl {n}", f"Lcl {n}", "", "A", *map(float, v)) for n, v in values]
     nodes = [Node("Version", (232,)), props(*extra, prop("InheritType", "enum", "", "", 1), *moved)]
-    return objects.add("Model", name, form, nodes)
+    model = objects.add("Model", name, form, nodes)
+    if form == "LimbNode":
+        kind = [Node("TypeFlags", ("Skeleton",))]
+        objects.link(objects.add("NodeAttribute", name, form, kind), model)
+    return model
 
 
 def _skin(objects, body, vertices, world, models, step) -> None:
@@ -125,3 +150,31 @@ def _scene(objects: Objects, unit: float) -> list[Node]:
             scale = prop("UnitScaleFactor", "double", "Number", "", unit)
             nodes[k] = Node(node.name, (), [node.nodes[0], props(*kept, scale)])
     return nodes
+
+
+def as_text(content: bytes) -> str:
+    """A binary file's nodes as a text FBX."""
+
+    def lines(node, depth: int):
+        space = "\t" * depth
+        words, block = [], []
+        for value in node.values:
+            if isinstance(value, np.ndarray):
+                words.append(f"*{len(value)} {{")
+                block = [f"{space}\ta: {','.join(map(str, value.tolist()))}", space + "}"]
+            elif isinstance(value, str):
+                name, mark, kind = value.partition("\0\1")
+                words.append(f'"{kind}::{name}"' if mark else f'"{value}"')
+            elif isinstance(value, bytes):
+                words.append('""')
+            else:
+                words.append("TF"[not value] if isinstance(value, bool) else str(value))
+        head = f"{space}{node.name}: {', '.join(words)}"
+        if node.scope or node.nodes:
+            block = [line for each in node.nodes for line in lines(each, depth + 1)]
+            head, block = head + " {", [*block, space + "}"]
+        return [head, *block]
+
+    nodes = read_document(content).nodes
+    made = [line for node in nodes for line in lines(node, 0)]
+    return "; FBX 7.4.0 project file\n; a comment: { }\n" + "\n".join(made) + "\n"

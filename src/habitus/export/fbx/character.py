@@ -98,8 +98,9 @@ def write_character_fbx(
 ) -> None:
     """Write a character's file with one animation more, which is the active one, atomically.
 
-    Matched joints turn, the pelvis moves; other joints rest. Raises HabitusError for text files,
-    and where bones are scaled so that joints would not be where they were solved.
+    Matched joints turn about their places in their parents, the pelvis moves; other joints rest.
+    Raises HabitusError for text files, and where bones are scaled so that joints would not be
+    where they were solved.
     """
     if scene.document.text:
         raise HabitusError(
@@ -134,6 +135,8 @@ def _parts(scene: FbxScene, moved: CharacterMotion) -> Float[np.ndarray, "T N 3 
         if turn is None:
             still = turns[k] if parent < 0 else turns[parent].T @ turns[k]
             turn = np.tile(still, (len(places), 1, 1))
+        parts[:, k, 0] += model.pivot(model.turn(model.parts[1]), model.parts[2])
+        parts[:, k, 0] -= model.pivot(turn, model.parts[2])
         own = model.before.T @ turn @ model.after
         quaternions = np.roll(quaternion_from_matrix(own), -1, axis=-1)
         axes = ["xyz".index(axis) for axis in model.order]

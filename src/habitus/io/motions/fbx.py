@@ -286,6 +286,9 @@ def _model(number: int, node: FbxNode, default: Properties) -> Model:
     if not np.abs(parts[2]).min() > 1e-9:
         raise HabitusError(f"{shown(name_of(node))}: a scaling of zero; export the file again")
 
+    if not 0 <= order < len(ORDERS):
+        raise HabitusError(f"{shown(name_of(node))}: rotation order {order}; expected 0 to 5")
+
     def turn(name: str) -> np.ndarray:
         angles = vector(given, name) if active else np.zeros(3)
         return Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
@@ -295,7 +298,7 @@ def _model(number: int, node: FbxNode, default: Properties) -> Model:
         name=name_of(node),
         form=form_of(node),
         parts=np.array(parts),
-        order=ORDERS[order] if 0 <= order < len(ORDERS) else ORDERS[0],
+        order=ORDERS[order],
         before=turn("PreRotation"),
         after=turn("PostRotation"),
         rotation_offset=vector(given, "RotationOffset"),

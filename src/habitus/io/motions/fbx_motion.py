@@ -65,8 +65,9 @@ def bind_matrices(scene: FbxScene) -> dict[int, Float[np.ndarray, "4 4"]]:
                     found[object_number(number.value())] = matrix_of(matrix)
     for number, node in scene.objects.items():
         link = node.first("TransformLink") if node.name == "Deformer" else None
-        for child, _ in scene.below.get(number, []) if link is not None else ():
-            found[child] = matrix_of(link)
+        if link is not None:
+            matrix = matrix_of(link)
+            found |= {child: matrix for child, _ in scene.below.get(number, [])}
     return found
 
 
@@ -94,6 +95,7 @@ def rest_of(
     bound = bind_matrices(scene)
     bound = {m.number: bound[m.number] for m in scene.models if m.number in bound}
     parts = scene.at_rest()
+    own_linear, own_places = scene.world(parts)
     oriented = any(np.abs(model.before - np.eye(3)).max() > 1e-6 for model in scene.models)
     if oriented:
         parts[joints, 1] = 0.0
@@ -104,7 +106,8 @@ def rest_of(
         matrix = bound.get(model.number) if joints[k] else None
         if matrix is not None:
             rest[k], there[k] = matrix[:3, :3], matrix[:3, 3]
-            long = np.linalg.norm(places[k] - places[parent]) if parent >= 0 else 0.0
+            bone = own_places[k] - own_places[parent] if parent >= 0 else np.zeros(3)
+            long = np.linalg.norm(bone)
             if long > 0.0 and scene.models[parent].number in bound:
                 ratios.append(np.linalg.norm(there[k] - there[parent]) / long)
         elif parent >= 0:
@@ -112,7 +115,7 @@ def rest_of(
             rest[k], there[k] = way @ linear[k], there[parent] + way @ (places[k] - places[parent])
     if ratios and abs(float(np.median(ratios)) - 1.0) > SAME:
         note = "its bind pose has bones of other lengths than its nodes, whose pose is its rest"
-        return linear, places, (note,)
+        return own_linear, own_places, (note,)
     if not bound and not oriented:
         note = "no skin and no PreRotations: the pose that its nodes have is taken for its rest"
         return rest, there, (note,)
