@@ -32,7 +32,8 @@ TOGETHER = 4
 AROUND = 12
 """Frames on either side of one that moves which go on with it."""
 CLIPPED = 0.02
-"""A step that leads farther beyond a bound is solved again with that unknown on its bound."""
+"""A step that leads farther beyond a bound is solved again with that unknown on its bound, and the
+frames around it."""
 DOUBTFUL = 20.0
 """Frames that cost so many times the median are tried again from their neighbours."""
 PATIENCE = 3
@@ -196,7 +197,8 @@ class _Level:
                 best, least = trial, after
                 if fall <= self.options.tolerance * total:
                     return "converged", count + 1
-            costs, gradient, matrix = self._linearized()
+            if count + 1 < limit:
+                costs, gradient, matrix = self._linearized()
         self.states = best
         return "iterations", limit
 
@@ -289,8 +291,12 @@ class _Level:
         step = _solved(band, gradient, held)
         beyond = np.clip(self.states + step, low, high) - self.states
         clipped = np.abs(beyond - step) > CLIPPED
-        if clipped.any():
-            step = _solved(band, gradient, np.where(clipped & ~still, beyond, held))
+        fixed = np.where(clipped & ~still, beyond, held)
+        for first, end in runs(binary_dilation(clipped.any(axis=1), iterations=AROUND)):
+            begin, stop = max(first - 2, 0), min(end + 2, count)
+            part = fixed[begin:stop]
+            part[: first - begin], part[end - begin :] = step[begin:first], step[end:stop]
+            step[begin:stop] = _solved(band[begin:stop], gradient[begin:stop], part)
         return np.clip(self.states + step, low, high)
 
 
