@@ -38,6 +38,9 @@ DOUBTFUL = 20.0
 """Frames that cost so many times the median are tried again from their neighbours."""
 PATIENCE = 3
 """Steps in a row that may raise the cost: bounds that are met on the way raise it at first."""
+LOOSE = 0.1
+"""Damping up to which a step is as good as undamped: what another one could gain is then what this
+one's prediction missed, and it need not be taken where that is little."""
 GOOD, POOR = 0.25, 0.75
 """Relative surprise of a frame's cost that lowers and that raises its damping."""
 
@@ -180,7 +183,9 @@ class _Level:
             with np.errstate(all="ignore"):
                 own = self.problem.cost(self.frames, trial)
                 after = float(np.sum(own)) + self._coupling(trial)[0]
+                missed = np.abs(own - costs - predicted)
                 surprise = (own - costs - predicted) / np.maximum(np.abs(predicted), SMALL)
+            free = bool((self.damping <= LOOSE).all())
             change = np.where(surprise < GOOD, 0.1, np.where(surprise < POOR, 1.0, 10.0))
             self.damping = np.clip(self.damping * change, 1e-6, 1e9)
             self.damping[~(surprise < POOR)] = np.maximum(self.damping[~(surprise < POOR)], 0.1)
@@ -195,7 +200,8 @@ class _Level:
                 self.states, total = trial, after
             if after < least:
                 best, least = trial, after
-                if fall <= self.options.tolerance * total:
+                rest = min(fall, float(np.sum(missed))) if free else fall
+                if rest <= self.options.tolerance * total:
                     return "converged", count + 1
             if count + 1 < limit:
                 costs, gradient, matrix = self._linearized()

@@ -55,7 +55,7 @@ class RobotSettings:
         (3e-3, BandedOptions(stride=8, steps=30, damping=1.0)),
         (3e-3, BandedOptions(steps=15)),
         (0.1, BandedOptions(steps=15)),
-        (1.0, BandedOptions(steps=15, tolerance=1e-4)),
+        (1.0, BandedOptions(steps=15, tolerance=2e-5)),
     )
     """Stages of the solver, each with a share of the weight of ``stand``."""
 
