@@ -67,7 +67,7 @@ def write_fbx_character(
         axes = ["xyz".index(axis) for axis in ORDERS[order]]
         angles = np.zeros(3)
         angles[axes] = turn.as_euler(ORDERS[order], degrees=True)
-        offset, pivot, shift = 10.0 * pivots * rng.normal(size=(3, 3))
+        offset, pivot, shift = 0.1 * pivots * 100.0 / (unit * scale) * rng.normal(size=(3, 3))
         angled = (before * turn * after.inv()).as_matrix()
         place = local[:3, 3] - offset - pivot - angled @ (shift - pivot)
         extra = [
