@@ -52,21 +52,35 @@ def _skinned(scene: FbxScene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarr
         points = given.array().astype(np.float64).reshape(-1, 3)
         if not (np.abs(points) < 1e9).all():
             raise HabitusError("vertices that are no finite numbers; export the file again")
-        weights = np.zeros((len(at), len(points)))
-        moved = np.zeros_like(points)
+        moved, total = np.zeros_like(points), np.zeros(len(points))
+        influences = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
         for joint, indices, values, matrix in _clusters(scene, number, at):
             if len(indices) and not 0 <= indices.min() <= indices.max() < len(points):
                 raise HabitusError("a cluster of vertices that the mesh lacks; export it again")
             there = points[indices] @ matrix[:3, :3].T + matrix[:3, 3]
             there = there @ linear[joint].T + places[joint]
             np.add.at(moved, indices, values[:, None] * there)
-            np.add.at(weights[joint], indices, values)
-        total = weights.sum(axis=0)
+            np.add.at(total, indices, values)
+            influences.append((indices, np.full(len(indices), joint), values))
         used = np.flatnonzero(total > 1e-6)
-        most = min(MAX_INFLUENCES, len(at))
-        index = np.argsort(-weights[:, used], axis=0)[:most].T
-        value = np.take_along_axis(weights[:, used].T, index, axis=1)
-        yield moved[used] / total[used, None], index, value
+        index, value = _strongest(influences, len(points))
+        yield moved[used] / total[used, None], index[used], value[used]
+
+
+def _strongest(
+    influences: list[tuple[np.ndarray, np.ndarray, np.ndarray]], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joints and weights (V, K) of each vertex, the strongest first."""
+    vertex, joint, weight = (np.concatenate(each) for each in zip(*influences, strict=True))
+    order = np.lexsort((-weight, vertex))
+    vertex, joint, weight = vertex[order], joint[order], weight[order]
+    rank = np.arange(len(vertex)) - np.searchsorted(vertex, vertex)
+    first = rank < MAX_INFLUENCES
+    index = np.zeros((count, MAX_INFLUENCES), np.int64)
+    value = np.zeros((count, MAX_INFLUENCES))
+    index[vertex[first], rank[first]] = joint[first]
+    value[vertex[first], rank[first]] = weight[first]
+    return index, value
 
 
 def _clusters(
