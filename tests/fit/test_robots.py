@@ -14,6 +14,7 @@ from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
 from habitus.export.robot import write_robot
 from habitus.fit.retarget.robot_body import capsule, robot_motion
+from habitus.fit.retarget.robot_pairs import Capsule
 from habitus.fit.retarget.robot_quality import overlaps, robot_quality
 from habitus.fit.retarget.robots import (
     ROBOT,
@@ -259,3 +260,37 @@ def test_a_table_that_does_not_fit_is_refused(motion, robot, pairs, tmp_path):
         retarget_to_robot(motion, robot, pairs=pairs, out=tmp_path / "walk.fbx")
     with pytest.raises(HabitusError, match="no shipped table fits"):
         retarget_to_robot(motion, robot)
+
+
+def test_hands_at_rest_on_the_ground_stay_there(motion, robot, pairs):
+    """On hands and feet, and drifting slowly: the robot's hands are in one place on the ground."""
+    names, frames = motion.body.joint_names, 60
+    rest = motion.body.rest_joints(motion.betas)
+    drift = np.linspace(0.0, 0.08, frames)[:, None] * [1.0, 0.0, 0.3]
+
+    def bent(pitch: float) -> BodyMotion:
+        """Bent forward, legs and arms upright."""
+        pose = np.zeros((frames, len(names), 3))
+        pose[:, 0, 0] = pitch
+        down = [[0.0, -np.cos(pitch), np.sin(pitch)]]
+        for side in ("left", "right"):
+            pose[:, names.index(f"{side}_hip"), 0] = -pitch
+            ends = [names.index(f"{side}_{part}") for part in ("shoulder", "wrist")]
+            turn = Rotation.align_vectors(down, [rest[ends[1]] - rest[ends[0]]])[0]
+            pose[:, ends[0]] = turn.as_rotvec()
+        return replace(motion, pose=pose, trans=drift)
+
+    ends = [names.index(f"left_{part}") for part in ("hand", "foot")]
+    heights = {a: bent(a).joints()[0, ends, 1] for a in np.linspace(1.5, 2.6, 23)}
+    plank = bent(min(heights, key=lambda a: abs(np.ptp(heights[a]))))
+    fists = {
+        f"{side}_hand": Capsule(f"{side}_forearm", np.array([[0.0, 0.03, -0.2]] * 2), 0.03)
+        for side in ("left", "right")
+    }
+    with_hands = replace(pairs, capsules=pairs.capsules | fists)
+    held = robot_quality(retargeted_to_robot(plank, robot, with_hands))
+    assert held.resting > 0.9
+    assert held.palm_slip < 0.005
+    assert held.penetration < 0.01
+    without = robot_quality(retargeted_to_robot(plank, robot, pairs))
+    assert (without.resting, without.palm_slip) == (0.0, 0.0)

@@ -31,7 +31,7 @@ Frame Time: 0.00833333
 
 def motion_makers() -> tuple[Callable[[Path], list[Target]], ...]:
     """What makes the targets, each in a folder of its own."""
-    return _skeletons, _characters
+    return _skeletons, _characters, _scenes
 
 
 def _check(motion) -> None:
@@ -65,3 +65,23 @@ def _characters(folder: Path) -> list[Target]:
 
     write_character(folder / "a.glb", step=40)
     return [alone("motion.glb", _read_gltf, (folder / "a.glb").read_bytes())]
+
+
+def _read_fbx(path: Path) -> None:
+    from habitus.export.fbx.character import skin_of_scene
+    from habitus.io.motions.fbx import read_fbx
+    from habitus.io.motions.fbx_motion import read_fbx_motion
+
+    _check(read_fbx_motion(path))
+    assert np.isfinite(skin_of_scene(read_fbx(path)).vertices).all()
+
+
+def _scenes(folder: Path) -> list[Target]:
+    from made_fbx_character import as_text, write_fbx_character
+
+    write_fbx_character(folder / "a.fbx", step=40, frames=3)
+    binary = (folder / "a.fbx").read_bytes()
+    return [
+        alone("motion.fbx", _read_fbx, binary),
+        alone("motion_text.fbx", _read_fbx, as_text(binary).encode()),
+    ]

@@ -61,6 +61,8 @@ NAMES = (
     "pairs.toml",
     "motion.bvh",
     "motion.glb",
+    "motion.fbx",
+    "motion_text.fbx",
     "vertices.npz",
     "vertices.obj",
     "calibration.toml",

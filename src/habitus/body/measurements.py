@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
 from habitus.body.body_arrays import BodyArrays
+from habitus.body.seated import SeatedKit, lay_seated
 from habitus.body.sewing import SewingKit, lay_sewing
 from habitus.body.state import BodySurface
 from habitus.body.tapes import (
@@ -46,6 +47,7 @@ WAISTS = (0.40, 0.72)
 SEAT = 1.0105  # sitting height as a share of stature less crotch height: the mean of ANSUR II
 # acromion to the radius' head, as a share of the way between the centres of shoulder and elbow
 ACROMION = 1.22
+POSTURES = ("standing", "seated")
 _Z = np.eye(3)[2]
 _HEIGHTS = {
     "cervical_height_m": "c7",
@@ -348,21 +350,39 @@ class Measured:
         """Tapes and yardsticks laid on the template; None for hands and animals."""
         return lay_out(self)  # type: ignore[arg-type]
 
-    def measure(self, surface: BodySurface | ArrayLike | None = None) -> dict[str, float]:
-        """Measurements of a person at rest (`habitus.body.measurements`), in metres and kilograms.
+    @cached_property
+    def seated_kit(self) -> SeatedKit | None:
+        """What is looked at when the body sits; None for hands, animals and bodies without arms."""
+        return lay_seated(self)
+
+    def measure(
+        self, surface: BodySurface | ArrayLike | None = None, posture: str = "standing"
+    ) -> dict[str, float]:
+        """Measurements of a person at rest (`habitus.body.measurements`), in metres and kilograms,
+        or "seated" (`habitus.body.seated`).
 
         Of the template, of shape coefficients (B,), or of the person whose surface is given,
-        whatever its pose: a surface knows its betas. Raises HabitusError for several people.
+        whatever its pose: a surface knows its betas. Raises HabitusError for several people and
+        other postures.
         """
         betas = () if surface is None else getattr(surface, "betas", surface)
         rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]
         if rest.ndim != 2:
             raise HabitusError(f"{rest.shape[:-2]} people to measure; give the betas of one, (B,)")
-        return measure(self, rest, self.measuring_kit)  # type: ignore[arg-type]
+        return self.measure_rest(rest, posture)
 
-    def measure_rest(self, rest_vertices: np.ndarray) -> dict[str, float]:
+    def measure_rest(
+        self, rest_vertices: np.ndarray, posture: str = "standing"
+    ) -> dict[str, float]:
         """Measurements of a person whose surface at rest (V, 3) is given, whatever shape it has."""
-        return measure(self, rest_vertices, self.measuring_kit)  # type: ignore[arg-type]
+        if posture not in POSTURES:
+            raise HabitusError(f"posture {posture!r}; expected one of {', '.join(POSTURES)}")
+        if posture == "standing":
+            return measure(self, rest_vertices, self.measuring_kit)  # type: ignore[arg-type]
+        kit, rest = self.seated_kit, to_numpy(rest_vertices, np.float64)
+        if kit is None:
+            return {}
+        return kit.measure(rest, self.joint_regressor @ rest)  # type: ignore[attr-defined]
 
     def measure_people(self, betas: ArrayLike, sewing: bool = True) -> dict[str, np.ndarray]:
         """Measurements (N,) of N people at once, of betas (N, B). sewing: as for `measure_many`."""

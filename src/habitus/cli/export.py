@@ -36,7 +36,7 @@ class Export:
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
     """A fit's body.npz or its folder, a motion that habitus wrote, an npz in AMASS's style, or the
-    motion of any person's skeleton (bvh, glb); for a rig at rest a person's npz, or neutral,
+    motion of any person's skeleton (bvh, glb, fbx); for a rig at rest a person's npz, or neutral,
     female, male.
     """
     out: Annotated[Path, metavar("FILE")]

@@ -18,8 +18,8 @@ class Measure:
     """Measure a person: height, mass, circumferences, breadths, depths and lengths, by their
     standard names.
 
-    The person is measured upright at rest, whatever pose the file has; a mesh must be at rest.
-    `docs/measurements.md` defines each measurement.
+    The person is measured upright at rest, or seated, whatever pose the file has; a mesh must be
+    at rest. `docs/measurements.md` defines each measurement.
     """
 
     source: Annotated[str, tyro.conf.Positional, metavar("FILE|default")]
@@ -27,6 +27,8 @@ class Measure:
     """
     body: Annotated[str | None, unset("NAME|FILE")] = None
     """The body that betas or mesh belong to, where the file does not name it."""
+    posture: Literal["standing", "seated"] = "standing"
+    """seated: ISO 7250-1's seated dimensions, hips, knees and elbows at 90 degrees."""
     out: Annotated[Path | None, unset("FILE.json|csv|smis|vit|yaml")] = None
     """File for the measurements; for Seamly2D or Valentina (smis, vit) or GarmentCode (yaml)."""
     format: Literal["auto", "habitus", "seamly", "garmentcode", "freesewing"] = "auto"
@@ -46,20 +48,19 @@ def run(options: Measure, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from rich.table import Table
 
-    from habitus.body.measurement_names import DEFINITIONS, shown_measurement
+    from habitus.body.measurement_names import shown_measurement
     from habitus.jobs.measuring import measure_file
 
     console = console or screen()
-    measured = measure_file(options.source, options.body)
+    measured = measure_file(options.source, options.body, options.posture)
     table = Table(box=None, pad_edge=False)
     for heading in ("measurement", "value", "what", "ISO"):
         table.add_column(
             heading, justify="right" if heading == "value" else "left", no_wrap=heading != "what"
         )
     for name, value in measured.values.items():
-        table.add_row(
-            name, shown_measurement(name, value), DEFINITIONS[name].says, DEFINITIONS[name].iso
-        )
+        what = measured.definitions[name]
+        table.add_row(name, shown_measurement(name, value), what.says, what.iso)
     console.print(table)
     for note in measured.notes:
         say(console, note, "note")

@@ -34,7 +34,7 @@ class Retarget:
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
     """A fit's body.npz, a motion that habitus wrote, an npz in AMASS's style, or the motion of any
-    person's skeleton (bvh, glb).
+    person's skeleton (bvh, glb, fbx).
     """
     out: Annotated[Path, metavar("FILE.npz|glb|csv|pkl|FOLDER")]
     """File for the motion; a folder receives an OBJ for each frame. A robot's is .npz, .csv or
@@ -42,7 +42,7 @@ class Retarget:
     """
     target: Annotated[str | None, unset("FILE|BETAS|NAME")] = None
     """A person (npz), a mesh of the body's topology (obj, ply), any rigged character (glb, gltf,
-    vrm), betas (1.5,-0.5), or neutral, female, male.
+    vrm, fbx), betas (1.5,-0.5), or neutral, female, male.
     """
     robot: Annotated[Path | None, unset("FILE.xml|urdf")] = None
     """A humanoid robot, MJCF or URDF, in place of a target."""

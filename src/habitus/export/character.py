@@ -4,7 +4,6 @@ import json
 import mimetypes
 import struct
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
@@ -195,11 +194,3 @@ def _plain_transforms(document: dict[str, Any], file: GltfFile, nodes: Sequence[
                 "rotation": rest.quaternions[node].tolist(),
                 "scale": rest.scales[node].tolist(),
             }
-
-
-def check_character_path(path: PathLike) -> Path:
-    """The path of a character's file. Raises HabitusError for other endings."""
-    target = Path(path)
-    if target.suffix.lower() not in OUT:
-        raise HabitusError(f"{target}: ending {target.suffix!r}; expected {' or '.join(OUT)}")
-    return target

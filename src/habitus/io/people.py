@@ -11,7 +11,7 @@ motion, AMASS npz         ``poses``                                   `BodyMotio
 person of habitus body    ``betas``, and no ``shapedirs``             `BodyShape`
 body model                a shipped name, .pkl, or any other npz      `BodyModel`
 mesh                      .ply, .obj                                  `Mesh`
-skeleton in motion        .bvh, .glb, .gltf                           `BodyMotion`
+skeleton in motion        .bvh, .glb, .gltf, .fbx                     `BodyMotion`
 ========================  ==========================================  ======================
 """
 
@@ -170,7 +170,7 @@ def read_fit(path: str | os.PathLike[str], body: BodyLike = None) -> MarkerFit:
 
 def read_motion(path: str | os.PathLike[str], body: BodyLike = None) -> BodyMotion:
     """The motion in an npz of ``habitus mosh``, ``exaggerate`` or ``retarget``, or of AMASS, or of
-    any person's skeleton in a BVH (`habitus.io.motions.open`).
+    any person's skeleton in a BVH, glTF or FBX (`habitus.io.motions.open`).
 
     AMASS: ``poses`` (T, 3J; rad), ``trans`` (T, 3; m), ``betas``, ``mocap_framerate`` (Hz), z up.
     body: as in `open_person`. Raises HabitusError, with the file named, where it holds no motion,

@@ -15,10 +15,11 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from habitus.body.measurement_names import LEVEL_ARMS, posture_of
+from habitus.body.measurement_names import DEFINITIONS, LEVEL_ARMS, Definition, posture_of
 from habitus.body.measurements import DENSITY, is_closed, surface_area, volume
 from habitus.body.model import BodyModel
 from habitus.body.recentred import is_of, misfit, turned_by
+from habitus.body.seated import SEATED, SEATED_POSTURE
 from habitus.body.segments import SegmentMasses, surface_masses
 from habitus.errors import HabitusError
 from habitus.export.measurements import program_of, write_measurements
@@ -34,6 +35,9 @@ from habitus.types import PathLike
 POSE = (
     "upright, arms level to the sides (T-pose); with hanging arms and heels together where "
     "the posture says so"
+)
+UNLOADED = (
+    "flesh under load is not simulated; docs/measurements.md says how near each measure comes"
 )
 _SEGMENTS = {
     "pelvis": "trunk", "hip": "thigh", "knee": "shank", "ankle": "foot", "foot": "toes",
@@ -53,7 +57,7 @@ class Measurements:
     """What a file's person measures: ``values`` by name (m, kg), and what must be known of them.
 
     ``body`` and ``rest_vertices`` (V, 3) are what was measured; None where the mesh is of no known
-    body.
+    body. ``posture``: "standing" or "seated".
     """
 
     source: str
@@ -61,6 +65,12 @@ class Measurements:
     notes: tuple[str, ...] = ()
     body: BodyModel | None = None
     rest_vertices: Float[np.ndarray, "V 3"] | None = None
+    posture: str = "standing"
+
+    @property
+    def definitions(self) -> Mapping[str, Definition]:
+        """What each measurement is in this posture."""
+        return SEATED if self.posture == "seated" else DEFINITIONS
 
     def save(self, path: PathLike, program: str = "") -> None:
         """Write them as .json or .csv, or for a pattern program: "garmentcode" (.yaml), "seamly"
@@ -71,6 +81,11 @@ class Measurements:
         target = Path(path)
         program = program or program_of(target)
         if program and program != "habitus":
+            if self.posture != "standing":
+                raise HabitusError(
+                    f"{target.name}: pattern programs take standing people; expected .json or .csv "
+                    "for seated measurements"
+                )
             sex = "" if self.body is None or self.body.name not in SEXES else self.body.name
             write_measurements(self.values, target, program, sex)
             return
@@ -160,22 +175,25 @@ class Measurements:
             raise HabitusError(
                 f"cannot draw {target.name}: expected a name in .svg, which browsers open"
             )
-        if self.body is None or self.rest_vertices is None:
+        if self.body is None or self.rest_vertices is None or self.posture != "standing":
             raise HabitusError(f"{self.source}: no tapes were laid on it, so there is none to draw")
         write_text(target, tape_picture(self.body, self.rest_vertices, self.values))
 
     def _json(self) -> str:
         facts = {
             "source": self.source,
-            "pose": POSE,
+            "pose": POSE if self.posture == "standing" else SEATED_POSTURE,
             "notes": list(self.notes),
             "measurements": dict(self.values),
-            "postures": {name: posture_of(name) for name in self.values},
+            "postures": {
+                name: posture_of(name) if self.posture == "standing" else SEATED_POSTURE
+                for name in self.values
+            },
         }
         return json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
 
     def _csv(self) -> str:
-        return measurements_csv(self.values)
+        return measurements_csv(self.values, self.definitions)
 
 
 def _segment(joint: str) -> str:
@@ -184,48 +202,57 @@ def _segment(joint: str) -> str:
     return f"{side}_{_SEGMENTS[plain]}".lstrip("_") if plain in _SEGMENTS else joint
 
 
-def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Measurements:
+def measure_file(
+    path: PathLike, body: PathLike | BodyModel | None = None, posture: str = "standing"
+) -> Measurements:
     """The measurements of the person in a file.
 
     A body model (npz, pkl; its mean person), or "default", "female", …; an npz with ``betas`` (a
     fit's body.npz, AMASS); a mesh (ply, obj; metres, y up). body: that which betas or mesh belong
-    to, where the file does not say it. Of a mesh of a body of habitus all is measured if it is at
+    to, where the file does not say it. posture: "standing", or "seated" (`habitus.body.seated`).
+    Of a mesh of a body of habitus all is measured if it is at
     rest; of another only what needs no anatomy, height and mass. Raises HabitusError for a file
     that is none of these, and for a posed mesh.
     """
     source = Path(path)
     if source.suffix.lower() in MESHES:
-        return _of_mesh(source, body)
+        return _of_mesh(source, body, posture)
     person = read_shape(source, body)
     rest = person.rest_vertices()
-    values = person.body.measure_rest(rest)
+    return _measured(str(path), person.body, rest, posture)
+
+
+def _measured(source: str, body: BodyModel, rest: np.ndarray, posture: str) -> Measurements:
+    values = body.measure_rest(rest, posture)
     if not values:
-        raise HabitusError(
-            f"{path}: {person.body.name} has no measurement landmarks; use a human body"
-        )
-    return Measurements(str(path), values, (), person.body, rest)
+        raise HabitusError(f"{source}: {body.name} has no measurement landmarks; use a human body")
+    notes = (UNLOADED,) if posture == "seated" else ()
+    return Measurements(source, values, notes, body, rest, posture)
 
 
 def _loaded(body: PathLike | BodyModel) -> BodyModel:
     return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
 
 
-def _of_mesh(source: Path, body: PathLike | BodyModel | None) -> Measurements:
+def _of_mesh(source: Path, body: PathLike | BodyModel | None, posture: str) -> Measurements:
     vertices, faces = read_mesh(source)
     models = [_loaded(name) for name in SPACES] if body is None else [_loaded(body)]
     levels = [level for model in models for level in (model, model.full) if level is not None]
     known = [level for level in levels if is_of(level, vertices, faces)]
     if known:
-        return _of_known(source, min(known, key=lambda level: misfit(level, vertices)), vertices)
+        level = min(known, key=lambda level: misfit(level, vertices))
+        return _of_known(source, level, vertices, posture)
     if body is not None:
         raise HabitusError(
             f"{source}: its {len(faces)} triangles are not those of {models[0].name}; give its "
             "own body"
         )
+    if posture != "standing":
+        raise HabitusError(f"{source}: a mesh of no known body cannot sit; expected a body's mesh")
     return _of_unknown(source, vertices, faces)
 
 
-def _of_known(source: Path, body: BodyModel, vertices: np.ndarray) -> Measurements:
+def _of_known(source: Path, body: BodyModel, vertices: np.ndarray, posture: str) -> Measurements:
     turned = turned_by(body, vertices)
     if turned > _TURNED:
         raise HabitusError(
@@ -233,7 +260,7 @@ def _of_known(source: Path, body: BodyModel, vertices: np.ndarray) -> Measuremen
             "measurements are taken at "
             "rest: give the body.npz that it comes from, or export it in the rest pose"
         )
-    return Measurements(str(source), body.measure_rest(vertices), (), body, vertices)
+    return _measured(str(source), body, vertices, posture)
 
 
 def _of_unknown(source: Path, vertices: np.ndarray, faces: np.ndarray) -> Measurements:

@@ -131,6 +131,9 @@ def _tiles(result: RobotRetargeting, quality: RobotQuality) -> Iterable[Tile]:
     )
     slip = f"heels and toes that stand ({quality.standing:.1f} s)"
     yield "Slip", f"{1e3 * quality.slip:.1f}", "mm/s", slip
+    if quality.resting:
+        rest = f"hands at rest on the ground ({quality.resting:.1f} s)"
+        yield "Slip of hands", f"{1e3 * quality.palm_slip:.1f}", "mm/s", rest
     yield "Penetration", f"{1e3 * quality.penetration:.1f}", "mm", "deepest below the ground"
     yield "Overlap", f"{1e3 * quality.overlap:.1f}", "mm", "deepest of two links"
 
@@ -177,6 +180,8 @@ def robot_numbers(result: RobotRetargeting, quality: RobotQuality) -> Mapping[st
         },
         "slip_mm_s": 1e3 * quality.slip,
         "standing_s": quality.standing,
+        "palm_slip_mm_s": 1e3 * quality.palm_slip,
+        "hands_at_rest_s": quality.resting,
         "penetration_mm": 1e3 * quality.penetration,
         "overlap_mm": 1e3 * quality.overlap,
         "share_at_limit": quality.at_limit,

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.gender import female_probability, said_of
-from habitus.body.measurement_names import DEFINITIONS, si_unit
+from habitus.body.measurement_names import DEFINITIONS, Definition, si_unit
 from habitus.body.motion import BodyMotion
 from habitus.body.surface_files import write_surface, write_textured
 from habitus.export.glb import thinning_note, write_glb
@@ -254,13 +254,15 @@ def _spread(distances: np.ndarray) -> dict[str, float]:
     return {"mean": float(1e3 * distances.mean())} | {name: float(value) for name, value in shares}
 
 
-def measurements_csv(values: Mapping[str, float]) -> str:
+def measurements_csv(
+    values: Mapping[str, float], definitions: Mapping[str, Definition] = DEFINITIONS
+) -> str:
     """Measurements (m, kg) as CSV text: name, value, unit, definition and ISO numbers."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
     for name, value in values.items():
-        definition = DEFINITIONS[name]
+        definition = definitions[name]
         rows.writerow((name, f"{value:.6g}", si_unit(name), definition.says, definition.iso))
     return text.getvalue()
 

@@ -32,11 +32,15 @@ TOGETHER = 4
 AROUND = 12
 """Frames on either side of one that moves which go on with it."""
 CLIPPED = 0.02
-"""A step that leads farther beyond a bound is solved again with that unknown on its bound."""
+"""A step that leads farther beyond a bound is solved again with that unknown on its bound, and the
+frames around it."""
 DOUBTFUL = 20.0
 """Frames that cost so many times the median are tried again from their neighbours."""
 PATIENCE = 3
 """Steps in a row that may raise the cost: bounds that are met on the way raise it at first."""
+LOOSE = 0.1
+"""Damping up to which a step is as good as undamped: what another one could gain is then what this
+one's prediction missed, and it need not be taken where that is little."""
 GOOD, POOR = 0.25, 0.75
 """Relative surprise of a frame's cost that lowers and that raises its damping."""
 
@@ -179,7 +183,9 @@ class _Level:
             with np.errstate(all="ignore"):
                 own = self.problem.cost(self.frames, trial)
                 after = float(np.sum(own)) + self._coupling(trial)[0]
+                missed = np.abs(own - costs - predicted)
                 surprise = (own - costs - predicted) / np.maximum(np.abs(predicted), SMALL)
+            free = bool((self.damping <= LOOSE).all())
             change = np.where(surprise < GOOD, 0.1, np.where(surprise < POOR, 1.0, 10.0))
             self.damping = np.clip(self.damping * change, 1e-6, 1e9)
             self.damping[~(surprise < POOR)] = np.maximum(self.damping[~(surprise < POOR)], 0.1)
@@ -194,9 +200,11 @@ class _Level:
                 self.states, total = trial, after
             if after < least:
                 best, least = trial, after
-                if fall <= self.options.tolerance * total:
+                rest = min(fall, float(np.sum(missed))) if free else fall
+                if rest <= self.options.tolerance * total:
                     return "converged", count + 1
-            costs, gradient, matrix = self._linearized()
+            if count + 1 < limit:
+                costs, gradient, matrix = self._linearized()
         self.states = best
         return "iterations", limit
 
@@ -289,8 +297,12 @@ class _Level:
         step = _solved(band, gradient, held)
         beyond = np.clip(self.states + step, low, high) - self.states
         clipped = np.abs(beyond - step) > CLIPPED
-        if clipped.any():
-            step = _solved(band, gradient, np.where(clipped & ~still, beyond, held))
+        fixed = np.where(clipped & ~still, beyond, held)
+        for first, end in runs(binary_dilation(clipped.any(axis=1), iterations=AROUND)):
+            begin, stop = max(first - 2, 0), min(end + 2, count)
+            part = fixed[begin:stop]
+            part[: first - begin], part[end - begin :] = step[begin:first], step[end:stop]
+            step[begin:stop] = _solved(band[begin:stop], gradient[begin:stop], part)
         return np.clip(self.states + step, low, high)
 
 

@@ -1,4 +1,4 @@
-"""Binary FBX 7.4: a tree of named nodes with typed values, between a header and a footer.
+"""Binary FBX 7: a tree of named nodes with typed values, between a header and a footer.
 
 The format has no published specification; its layout is known from readers and writers under free
 licences (ufbx and ufbx_write by Samuli Raivio among them).
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from habitus.errors import HabitusError
+from habitus.io.motions.fbx_nodes import MAGIC, WIDE, FbxNode
 
 VERSION = 7400
 CREATED = "1970-01-01 10:00:00:000"
@@ -21,8 +22,6 @@ last byte.
 FILE_ID = bytes.fromhex("28b32aebb624ccc2bfc8b02aa92bfcf1")
 _FOOTER_ID = bytes.fromhex("fabcab09d0c8d466b176fb831cf7267e")
 _FOOTER_END = bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
-_HEADER = b"Kaydara FBX Binary  \x00\x1a\x00" + struct.pack("<I", VERSION)
-_NULL = bytes(13)
 _ARRAYS = {"f4": b"f", "f8": b"d", "i4": b"i", "i8": b"l"}
 _SINGLES: tuple[tuple[type, bytes, str], ...] = (
     (bool, b"C", "<?"),
@@ -52,12 +51,20 @@ class Node:
 
     A Python int is written as a 32-bit number, ``np.int64`` as one of 64 bits, a float as a double,
     bool as one byte, str as text, bytes as they are; arrays of float32, float64, int32 and int64
-    flat, packed where they are long.
+    flat, packed where they are long. ``scope``: a null record ends its nodes though there are none.
     """
 
     name: str
     values: tuple[Value, ...] = ()
     nodes: Sequence["Node"] = ()
+    scope: bool = False
+
+
+def kept(node: FbxNode) -> Node:
+    """A node of a file that was read, to be written as it was."""
+    return Node(
+        node.name, tuple(map(Packed, node.encoded)), tuple(map(kept, node.nodes)), node.scope
+    )
 
 
 def packed(array: np.ndarray) -> Packed:
@@ -73,40 +80,41 @@ def packed(array: np.ndarray) -> Packed:
     )
 
 
-def document(nodes: Sequence[Node]) -> bytes:
+def document(nodes: Sequence[Node], version: int = VERSION, footer_id: bytes = _FOOTER_ID) -> bytes:
     """A whole file of these top nodes. Raises HabitusError where it would be larger than its
     offsets can tell.
     """
-    parts = [_HEADER]
-    at = len(_HEADER)
+    head = struct.Struct("<QQQB" if version >= WIDE else "<IIIB")
+    parts = [MAGIC + struct.pack("<I", version)]
+    at = len(parts[0])
     for node in nodes:
-        parts.append(_encoded(node, at))
+        parts.append(_encoded(node, at, head))
         at += len(parts[-1])
-    footer = _NULL + _FOOTER_ID
+    footer = bytes(head.size) + footer_id
     padding = bytes(16 - (at + len(footer)) % 16)
     return b"".join(
-        [*parts, footer, padding, struct.pack("<II", 0, VERSION), bytes(120), _FOOTER_END]
+        [*parts, footer, padding, struct.pack("<II", 0, version), bytes(120), _FOOTER_END]
     )
 
 
-def _encoded(node: Node, at: int) -> bytes:
+def _encoded(node: Node, at: int, head: struct.Struct) -> bytes:
     """A node's bytes, that begin ``at`` bytes into the file: ends are told as places in it."""
-    name = node.name.encode("ascii")
+    name = node.name.encode("latin-1")
     values = b"".join(map(_value, node.values))
-    inside = at + 13 + len(name) + len(values)
+    inside = at + head.size + len(name) + len(values)
     parts = []
     for child in node.nodes:
-        parts.append(_encoded(child, inside))
+        parts.append(_encoded(child, inside, head))
         inside += len(parts[-1])
-    if node.nodes or not node.values or node.name in _ALWAYS_A_SCOPE:
-        parts.append(_NULL)
-        inside += len(_NULL)
-    if inside > _LARGEST:
+    if node.nodes or not node.values or node.scope or node.name in _ALWAYS_A_SCOPE:
+        parts.append(bytes(head.size))
+        inside += head.size
+    if inside > _LARGEST and head.size < 20:
         raise HabitusError(
             "the FBX file would be larger than 4 GB, which its version cannot hold; lower --fps"
         )
-    head = struct.pack("<IIIB", inside, len(node.values), len(values), len(name))
-    return b"".join([head, name, values, *parts])
+    begin = head.pack(inside, len(node.values), len(values), len(name))
+    return b"".join([begin, name, values, *parts])
 
 
 def _value(value: Value) -> bytes:

@@ -19,12 +19,13 @@ _CREATOR = f"habitus {__version__}"
 
 
 class Objects:
-    """Objects as they are added, each with a number of its own, and what hangs on what."""
+    """Objects as they are added, numbered from ``first`` on, and what hangs on what."""
 
-    def __init__(self) -> None:
+    def __init__(self, first: int = 1_000_000) -> None:
         self.nodes: list[Node] = []
         self.links: list[Node] = []
-        self._kinds: Counter[str] = Counter()
+        self.kinds: Counter[str] = Counter()
+        self._first = first
 
     def add(
         self, kind: str, name: str, form: str, nodes: Sequence[Node] = (), said: str = ""
@@ -33,8 +34,8 @@ class Objects:
 
         ``said`` is what it is called where that differs from the kind.
         """
-        number = np.int64(1_000_000 + len(self.nodes))
-        self._kinds[kind] += 1
+        number = np.int64(self._first + len(self.nodes))
+        self.kinds[kind] += 1
         self.nodes.append(Node(kind, (number, f"{name}\0\1{said or kind}", form), nodes))
         return number
 
@@ -45,7 +46,7 @@ class Objects:
 
     def definitions(self) -> Node:
         """How many objects there are of each kind."""
-        kinds = {"GlobalSettings": 1, **self._kinds}
+        kinds = {"GlobalSettings": 1, **self.kinds}
         each = [
             Node("ObjectType", (kind,), [Node("Count", (count,))]) for kind, count in kinds.items()
         ]

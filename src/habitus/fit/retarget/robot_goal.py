@@ -29,8 +29,9 @@ class Person(NamedTuple):
 
     ``directions`` (T, 3) by segment and name; ``hips`` (T, 3) between the hip joints; ``soles``
     (T, 2, 3, 3): side; heel, ball, toes; ``still`` says which of them stand; ``frames`` are the
-    segments' rotations from the axes of the robot at rest. ``leg`` is the height (m) of the hip
-    joints of the body standing, ``ground`` that of the ground in the capture's world.
+    segments' rotations from the axes of the robot at rest. ``palms`` (T, 2, 3) are middles of the
+    hands, ``resting`` (T, 2) says when they are at rest on the ground. ``leg`` is the height (m) of
+    the hip joints of the body standing, ``ground`` that of the ground in the capture's world.
     """
 
     directions: dict[tuple[str, str], Float[np.ndarray, "T 3"]]
@@ -38,6 +39,8 @@ class Person(NamedTuple):
     hips: Float[np.ndarray, "T 3"]
     soles: Float[np.ndarray, "T 2 3 3"]
     still: Bool[np.ndarray, "T 2 3"]
+    palms: Float[np.ndarray, "T 2 3"]
+    resting: Bool[np.ndarray, "T 2"]
     leg: float
     ground: float
 
@@ -55,6 +58,7 @@ def person_of(motion: BodyMotion, pairs: RobotPairs, contacts: ContactSettings) 
     ground = np.array([0.0, 0.0, ground_height(points[..., 2], still, contacts)])
     hips = [names.index(f"{side}_hip") for side in ("left", "right")]
     rest = motion.body.rest_vertices(motion.betas)
+    palms, resting = _palms(skeleton.world[..., 3] @ turn.T - ground, names, motion, contacts)
     return Person(
         directions=_directions(skeleton, names, pairs, turn),
         frames={
@@ -64,9 +68,31 @@ def person_of(motion: BodyMotion, pairs: RobotPairs, contacts: ContactSettings) 
         hips=skeleton.world[..., 3][:, hips].mean(axis=1) @ turn.T - ground,
         soles=points - ground,
         still=still,
+        palms=palms,
+        resting=resting,
         leg=float(skeleton.rest[:, hips, 1].mean() - rest[:, 1].min()),
         ground=float(ground[2]),
     )
+
+
+def _palms(
+    joints: Float[np.ndarray, "T J 3"],
+    names: list[str],
+    motion: BodyMotion,
+    contacts: ContactSettings,
+) -> tuple[Float[np.ndarray, "T 2 3"], Bool[np.ndarray, "T 2"]]:
+    """Middles of both hands, and when they are at rest on the ground; never where the body has no
+    hands.
+    """
+    palms = np.zeros((len(joints), 2, 3))
+    for k, side in enumerate(("left", "right")):
+        ends = [f"{side}_{name}" for name in ("hand", "middle1") if f"{side}_{name}" in names]
+        if f"{side}_wrist" not in names or not ends:
+            return palms, np.zeros(palms.shape[:2], bool)
+        both = [names.index(f"{side}_wrist"), names.index(ends[0])]
+        palms[:, k] = joints[:, both].mean(axis=1)
+    low = palms[..., 2] < PALM_HEIGHT
+    return palms, low & standing(palms, motion.rate_hz, contacts)
 
 
 def _directions(
@@ -182,6 +208,27 @@ def _pivoting(
         place = place + _level(pivots[now] - pivots[before], heading[t])
         prints[t] = place + _level(local - pivots[now], heading[t])
     return prints, stand.active
+
+
+PALM_HEIGHT = 0.1
+"""Metres over the ground below which the middle of a hand that is still rests on it."""
+
+
+def palm_prints(
+    palm: Float[np.ndarray, "T 3"],
+    resting: Bool[np.ndarray, " T"],
+    scale: float,
+    origin: Float[np.ndarray, " 3"],
+    height: float,
+) -> Float[np.ndarray, "T 3"]:
+    """Where the middle of a hand shall be while it rests on the ground: in one place as long as it
+    does, the mean of its way scaled about ``origin``, at a ``height`` (m).
+    """
+    out = origin + scale * (palm - origin)
+    for first, end in runs(resting):
+        out[first:end] = out[first:end].mean(axis=0)
+    out[:, 2] = height
+    return out
 
 
 STEP = 0.04

@@ -45,6 +45,7 @@ SENTENCES = {
     "direction": "Segments are {value:.0f} degrees from the person's on average.",
     "segment": "The robot cannot follow the {name}: {value:.0f} degrees off on average.",
     "slip": "Feet that stand slip by {value:.0f} mm/s.",
+    "palms": "Hands at rest on the ground slip by {value:.0f} mm/s.",
     "penetration": "The robot is {value:.0f} mm below the ground.",
     "overlap": "Links enter one another by {value:.0f} mm.",
     "speed": "In {value:.0f} % of the frames a joint is at its limit of speed.",
@@ -61,7 +62,8 @@ class RobotQuality:
     largest of a segment's; ``free`` (T) by segment says where no joint that moves the segment is at
     a limit. ``slip`` (m/s) is the root mean square level speed of heels and toes that stand,
     ``standing`` (s) how long some do; ``penetration`` and ``overlap`` are the largest (m);
-    ``at_limit`` and ``at_speed`` are shares of frames by joint.
+    ``at_limit`` and ``at_speed`` are shares of frames by joint; ``palm_slip`` (m/s) and ``resting``
+    (s) are of hands on the ground.
     """
 
     directions: dict[str, Float[np.ndarray, " T"]]
@@ -72,6 +74,8 @@ class RobotQuality:
     overlap: float
     at_limit: dict[str, float]
     at_speed: dict[str, float]
+    palm_slip: float
+    resting: float
     verdict: Verdict
 
     @property
@@ -110,6 +114,7 @@ def robot_quality(result: RobotRetargeting, limits: RobotLimits = LIMITS) -> Rob
         joints = robot.joint_of_link[robot.path(link)]
         free[name] = ~at_limit[:, joints[joints >= 0]].any(axis=1)
     slip, standing = _slip(result, links)
+    palm_slip, resting = _palm_slip(result, links)
     penetration = max(0.0, -float(lowest_heights(result, links).min()))
     overlap = float(overlaps(result, links).max())
     measured = RobotQuality(
@@ -121,6 +126,8 @@ def robot_quality(result: RobotRetargeting, limits: RobotLimits = LIMITS) -> Rob
         overlap,
         dict(zip(robot.joint_names, at_limit.mean(axis=0).tolist(), strict=True)),
         dict(zip(robot.joint_names, _shares(fast), strict=True)),
+        palm_slip,
+        resting,
         Verdict("good", ()),
     )
     reasons = list(_reasons(result, measured, float(fast.any(axis=1).mean()), limits))
@@ -165,6 +172,26 @@ def _slip(result: RobotRetargeting, links: LinkPoses) -> tuple[float, float]:
     return float(np.sqrt(squared.mean())) if len(squared) else 0.0, any_stands.sum() / rate
 
 
+def _palm_slip(result: RobotRetargeting, links: LinkPoses) -> tuple[float, float]:
+    """Level speed of hands at rest on the ground (m/s, root mean square), seconds of any resting;
+    zeros for a robot whose table has no capsules for them.
+    """
+    rate = result.motion.rate_hz
+    squares, any_rest = [np.zeros(0)], np.zeros(result.motion.num_frames, bool)
+    for k, side in enumerate(("left", "right")):
+        part = result.pairs.capsules.get(f"{side}_hand")
+        if part is None:
+            continue
+        resting = result.person.resting[:, k]
+        middle = part.ends.mean(axis=0, keepdims=True)
+        places = _places(result.motion.robot, links, part.link, middle)[:, 0, :2]
+        way = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        squares.append((way[resting[1:] & resting[:-1]] * rate) ** 2)
+        any_rest |= resting
+    squared = np.concatenate(squares)
+    return float(np.sqrt(squared.mean())) if len(squared) else 0.0, float(any_rest.sum() / rate)
+
+
 def lowest_heights(result: RobotRetargeting, links: LinkPoses) -> Float[np.ndarray, " T"]:
     """Height (m) of the lowest point of soles and capsules, in each frame."""
     robot = result.motion.robot
@@ -200,6 +227,7 @@ def _reasons(
         ("direction", quality.mean_free_direction, limits.direction, 1.0),
         ("segment", float(quality.directions[worst].mean()), limits.segment, 1.0),
         ("slip", quality.slip, limits.slip, 1e3),
+        ("palms", quality.palm_slip, limits.slip, 1e3),
         ("penetration", quality.penetration, limits.penetration, 1e3),
         ("overlap", quality.overlap, limits.overlap, 1e3),
         ("speed", at_speed, limits.speed, 100.0),

@@ -16,7 +16,14 @@ from habitus.body.motion import BodyMotion
 from habitus.body.robot import LinkPoses, Robot
 from habitus.errors import HabitusError, listed
 from habitus.fit.retarget.contacts import ContactSettings
-from habitus.fit.retarget.robot_goal import Footprints, Person, footprints, leg_of, person_of
+from habitus.fit.retarget.robot_goal import (
+    Footprints,
+    Person,
+    footprints,
+    leg_of,
+    palm_prints,
+    person_of,
+)
 from habitus.fit.retarget.robot_kernels import frame_costs, linearized
 from habitus.fit.retarget.robot_pairs import REQUIRED, RobotPairs, Sole
 from habitus.rotations import matrix_from_rotvec
@@ -30,7 +37,8 @@ class RobotSettings:
     """Weights of squares (directions are unit vectors, so that 1 is a radian), and the rest."""
 
     stand: float = 3e6
-    """1/m², of where the heel and the toes of a foot that stands are on the ground."""
+    """1/m², of where the heel and the toes of a foot that stands, and hands at rest, are on the
+    ground."""
     level: float = 3e3
     """1/m², of the height of each point of a sole that stands: an ankle that cannot lay the foot
     flat lets it stand on its edge."""
@@ -55,7 +63,7 @@ class RobotSettings:
         (3e-3, BandedOptions(stride=8, steps=30, damping=1.0)),
         (3e-3, BandedOptions(steps=15)),
         (0.1, BandedOptions(steps=15)),
-        (1.0, BandedOptions(steps=15, tolerance=1e-4)),
+        (1.0, BandedOptions(steps=15, tolerance=2e-5)),
     )
     """Stages of the solver, each with a share of the weight of ``stand``."""
 
@@ -249,6 +257,7 @@ def robot_goal(
     points = [_Point(pelvis, between, always, always, hips)]
     for sole, made in zip(pairs.soles, prints, strict=True):
         points += _sole_points(robot.link(sole.link), sole, made, settings)
+    points += _palm_points(robot, pairs, person, scale, settings)
     floor = floor_points(robot, pairs)
     capsules = list(pairs.capsules.values())
     ends = [_local(robot, robot.link(part.link), part.ends) for part in capsules]
@@ -308,6 +317,24 @@ def _sole_points(link: int, sole: Sole, made: Footprints, settings: RobotSetting
         out.append(_Point(link, corners[part].mean(axis=0), stand, never, where))
     free = np.where(made.stands.any(axis=1), 0.0, settings.swing)
     return [*out, _Point(link, sole.middle, free, free, made.middle)]
+
+
+def _palm_points(
+    robot: Robot, pairs: RobotPairs, person: Person, scale: float, settings: RobotSettings
+) -> list[_Point]:
+    """Where hands rest on the ground; none for a robot whose table has no capsules for them."""
+    origin = person.hips[0] * (1.0, 1.0, 0.0)
+    out = []
+    for k, side in enumerate(("left", "right")):
+        part = pairs.capsules.get(f"{side}_hand")
+        resting = person.resting[:, k]
+        if part is None or not resting.any():
+            continue
+        where = palm_prints(person.palms[:, k], resting, scale, origin, part.radius)
+        stand = np.where(resting, settings.stand, 0.0)
+        level = np.where(resting, settings.level, 0.0)
+        out.append(_Point(robot.link(part.link), part.ends.mean(axis=0), stand, level, where))
+    return out
 
 
 def floor_points(robot: Robot, pairs: RobotPairs) -> list[tuple[int, np.ndarray, float]]:

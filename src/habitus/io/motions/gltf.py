@@ -20,14 +20,13 @@ from habitus.fit.retarget.rig_names import VRM_PARTS
 from habitus.io.archives import reason
 from habitus.io.gltf_claims import check_gltf, glb_chunks
 from habitus.io.limits import MAX_NAME_LENGTH, Allowance, read_file, read_json
+from habitus.io.motions.sampling import even_times, turns_of
 from habitus.io.names import inside
 from habitus.rotations import matrix_from_quaternion
 
 ENDINGS = (".glb", ".gltf", ".vrm")
 _TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-MAX_RATE = 1000.0
-MOST_FRAMES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,16 +213,6 @@ def world_of(file: GltfFile, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
     return linear, places
 
 
-def turns_of(linear: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """The rotations nearest to linear parts of transformations."""
-    u, s, vt = np.linalg.svd(linear)
-    if (s[..., -1] < 1e-12).any():
-        raise HabitusError("a node of no size; export it again")
-    sign = np.sign(np.linalg.det(u @ vt))
-    u[..., -1] *= sign[..., None]
-    return u @ vt
-
-
 def rig_of(file: GltfFile) -> Rig:
     """The skeleton of the nodes at rest, in the order of ``file.order``. Raises HabitusError."""
     linear, places = world_of(file, rest_parts(file))
@@ -294,7 +283,7 @@ def _motion(file: GltfFile) -> RigMotion:
     keys = [file.array(sampler["input"])[:, 0] for _, _, sampler in channels]
     if any((np.diff(each) <= 0.0).any() for each in keys):
         raise HabitusError("keys that do not follow one another in time; export it again")
-    times, rate = _times(keys)
+    times, rate = even_times(keys)
     rest = rest_parts(file)
     nodes = len(file.nodes())
     Allowance(file.path.stat().st_size).take(len(times) * nodes, 8 * 22, "its animation")
@@ -314,23 +303,6 @@ def _motion(file: GltfFile) -> RigMotion:
         notes = (f"the first of its {len(animations)} animations is read: {shown(name)!r}",)
     turns = turns_of(linear[:, order])
     return RigMotion(rig_of(file), places[:, order], turns, rate, file.path.stem, "+y", notes)
-
-
-def _times(keys: list[np.ndarray]) -> tuple[Float[np.ndarray, " T"], float]:
-    """Times of frames, and frames a second, by the channel with most keys."""
-    most = max(keys, key=len)
-    first, last = min(k[0] for k in keys), max(k[-1] for k in keys)
-    step = float(np.median(np.diff(most))) if len(most) > 1 else 1.0 / 30.0
-    rate = 1.0 / step
-    if abs(round(rate) - rate) < 1e-3 * rate:
-        rate = float(round(rate))
-    count = round((last - first) * rate) + 1
-    if not rate <= MAX_RATE or count > MOST_FRAMES:
-        raise HabitusError(f"{count} frames at {rate:.3g} Hz; expected up to {MOST_FRAMES}")
-    even = first + np.arange(count) / rate
-    if len(most) == count and np.abs(even - most).max() < 1e-3 / rate:
-        even = most
-    return even, rate
 
 
 def _sampled(

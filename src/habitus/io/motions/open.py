@@ -1,4 +1,4 @@
-"""A file with a skeleton in motion, as a body in motion: BVH and glTF."""
+"""A file with a skeleton in motion, as a body in motion: BVH, glTF and FBX."""
 
 from pathlib import Path
 
@@ -12,18 +12,23 @@ from habitus.errors import HabitusError
 from habitus.fit.retarget.rig_motions import body_motion_of
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.io.motions.bvh import read_bvh
+from habitus.io.motions.fbx_motion import ENDINGS as FBX
+from habitus.io.motions.fbx_motion import read_fbx_motion
 from habitus.io.motions.gltf import ENDINGS as GLTF
 from habitus.io.motions.gltf import read_gltf, read_gltf_motion
 from habitus.kernels.threads import one_blas_thread
 
-ENDINGS = (".bvh", *GLTF)
+ENDINGS = (".bvh", *GLTF, *FBX)
 
 
 def read_rig_motion(path: Path) -> RigMotion:
     """The skeleton of a file in motion, as the file has it. Raises HabitusError."""
     if not path.is_file():
         raise HabitusError(f"{path}: no such file; expected a motion ({' or '.join(ENDINGS)})")
-    return read_gltf_motion(path) if path.suffix.lower() in GLTF else read_bvh(path)
+    ending = path.suffix.lower()
+    if ending in FBX:
+        return read_fbx_motion(path)
+    return read_gltf_motion(path) if ending in GLTF else read_bvh(path)
 
 
 def is_rig_motion(path: Path) -> bool:
@@ -31,7 +36,7 @@ def is_rig_motion(path: Path) -> bool:
     HabitusError for a damaged one.
     """
     if path.suffix.lower() not in GLTF or not path.is_file():
-        return path.suffix.lower() == ".bvh"
+        return path.suffix.lower() in (".bvh", *FBX)
     document = read_gltf(path).document
     return bool(document.get("animations")) and bool(document.get("skins"))
 
