@@ -86,9 +86,7 @@ PYTHON_NOT_RUN = {
         "files under licence: tests/io/models/test_bodies.py"
     ),
     "docs/amass.md:fit.save": "writes over the fit: tests/export/test_amass.py",
-    "docs/amass.md:from habitus.io.models.bodies import save_body": (
-        "needs smplx, and another program's file: tests/export/test_amass.py"
-    ),
+    "docs/amass.md:hb.save_body": "needs smplx: tests/export/test_amass.py",
     "docs/amass.md:trans = data": "needs another program's joints: tests/export/test_amass.py",
     "docs/archives.md:capture,subject": "a table",
     "docs/cameras.md:detections =": "fits: tests/jobs/test_camera_jobs.py",
