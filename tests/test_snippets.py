@@ -110,7 +110,7 @@ PYTHON_NOT_RUN = {
 }
 """Page and beginning of snippets, likewise."""
 
-STRANGERS = ("pip ", "helm ")
+STRANGERS = ("apptainer ", "gh ", "helm ", "pip ", "podman ")
 """Commands of others whose options are theirs."""
 
 
@@ -135,7 +135,13 @@ def _module(name: str) -> Any:
 
 
 COMMAND_LINES = examples()
-OURS = [(place, text) for place, text in COMMAND_LINES if text.startswith("habitus ")]
+_BEFORE = re.compile(r"(uvx (--from \S+ )?|apptainer exec .*\.sif )(?=habitus )")
+"""What may stand before a command of ours."""
+OURS = [
+    (place, bare)
+    for place, text in COMMAND_LINES
+    if (bare := _BEFORE.sub("", text, count=1)).startswith("habitus ")
+]
 PYTHON = [snippet for snippet in snippets() if snippet.kind == "python"]
 
 
