@@ -25,7 +25,7 @@ LISTED = set(
     "export_file fill_capture fit_cameras fit_rgbd gait hand_pose label live load_body load_fit load_layout load_motion "
     "minimize mosh "
     "open_registrations read_calibration read_capture read_detections read_views register_scans register_vertices retarget retarget_to_character retarget_to_robot select_markers "
-    "select_poses "
+    "save_body select_poses "
     "simulate_soft_tissue split_people terms train train_dynamics virtual_markers write_surface write_trc".split()
 )
 

@@ -20,6 +20,7 @@ from habitus.observe.camera import Camera
 
 def bodies() -> None:
     body = hb.load_body("default")
+    hb.save_body(body, "SMPL_NEUTRAL.pkl", shape_directions=300)
     assert_type(body, BodyModel)
     surface = body(betas=[1.5], pose={"left_elbow": (0, -1.2, 0)})
     surface.export("posed.ply")

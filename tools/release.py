@@ -1,15 +1,22 @@
-"""Builds wheel and sdist and tries the wheel where nothing else is: python tools/release.py dist
---python python3.12 …
+"""Builds wheel and sdist and tries both where nothing else is:
 
-For each Python: an empty environment, the wheel from its file, all else from the package index;
-then, away from the checkout, `habitus --version` and the demo, which makes a capture and fits it.
-Nothing is uploaded.
+python tools/release.py dist [--python python3.12 …] [--tag v0.1.0] [--notes notes.md]
+python tools/release.py dist --built          # tries what another machine built
+
+For each Python: an empty environment, the wheel or the sdist from its file, all else from the
+package index; then, away from the checkout, `habitus --version`, `habitus doctor` and the demo,
+which makes a capture and fits it. With a tag, its version has to be the package's and to have a
+dated section in CHANGELOG.md, which --notes writes. Nothing is uploaded:
+.github/workflows/release.yml does that.
 """
 
 import argparse
+import os
+import re
 import subprocess
 import sys
 import tempfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -24,26 +31,59 @@ NEEDED = (
 
 
 def main() -> None:
-    """Build, look inside, try."""
+    """Check, build, look inside, try."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--python", nargs="*", default=[sys.executable])
+    parser.add_argument("--tag", default="")
+    parser.add_argument("--notes", type=Path)
+    parser.add_argument("--built", action="store_true")
     options = parser.parse_args()
-    wheel = build(options.out)
+    if options.tag:
+        version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+        notes = release_notes(options.tag, version, (ROOT / "CHANGELOG.md").read_text("utf-8"))
+        if options.notes:
+            options.notes.write_text(notes, encoding="utf-8")
+    if not options.built:
+        build(options.out)
+    wheel, sdist = newest(options.out, "*.whl"), newest(options.out, "*.tar.gz")
     check(wheel)
     for python in options.python:
-        try_out(wheel, python)
-        print(f"{wheel.name}: fits a capture under {python}", flush=True)
+        for package in (wheel, sdist):
+            try_out(package, python)
+            print(f"{package.name}: fits a capture under {python}", flush=True)
 
 
-def build(out: Path) -> Path:
-    """Wheel and sdist in a folder, by the `build` package in an environment of its own; the wheel's
-    path.
+def release_notes(tag: str, version: str, changes: str) -> str:
+    """The section of a release in CHANGELOG.md. SystemExit where the tag is not v and the
+    package's version, or the section is missing, empty or has no date.
+    """
+    if tag != f"v{version}":
+        sys.exit(f"tag {tag}, but pyproject.toml has version {version}; expected v{version}")
+    heading = re.search(rf"^## {re.escape(version)}, (.*)$", changes, re.MULTILINE)
+    if heading is None or not re.fullmatch(r"\d{4}-\d{2}-\d{2}", heading[1].strip()):
+        sys.exit(f"CHANGELOG.md has no section '## {version}, YYYY-MM-DD'; date it")
+    notes = re.split(r"^## ", changes[heading.end() :], flags=re.MULTILINE)[0].strip()
+    if not notes:
+        sys.exit(f"CHANGELOG.md says nothing of {version}")
+    return f"{notes}\n"
+
+
+def newest(folder: Path, pattern: str) -> Path:
+    """The newest of a folder's files of a kind. SystemExit where there is none."""
+    files = sorted(folder.glob(pattern), key=lambda path: path.stat().st_mtime)
+    return files[-1] if files else sys.exit(f"{folder} holds no {pattern}")
+
+
+def build(out: Path) -> None:
+    """Wheel and sdist in a folder, by the `build` package in an environment of its own; `twine`
+    looks at their metadata.
     """
     with tempfile.TemporaryDirectory() as folder:
-        python = _environment(sys.executable, folder, ["build"])
+        python = _environment(sys.executable, folder, ["build", "twine"])
         _run([python, "-m", "build", "--outdir", out.resolve(), ROOT])
-    return max(out.glob("*.whl"), key=lambda path: path.stat().st_mtime)
+        files = [path.resolve() for path in (newest(out, "*.whl"), newest(out, "*.tar.gz"))]
+        _run([python, "-m", "twine", "check", "--strict", *files])
 
 
 def check(wheel: Path) -> None:
@@ -59,13 +99,14 @@ def check(wheel: Path) -> None:
         sys.exit(f"{wheel.name} lacks {lacking} and has {spare[:5]} too much")
 
 
-def try_out(wheel: Path, python: str) -> None:
-    """Install a wheel in an empty environment and fit a capture there. Raises CalledProcessError
-    where that fails.
+def try_out(package: Path, python: str) -> None:
+    """Install a wheel or an sdist in an empty environment and fit a capture there. Raises
+    CalledProcessError where that fails.
     """
     with tempfile.TemporaryDirectory() as folder:
-        inside = _environment(python, folder, [wheel.resolve()])
-        _run([Path(inside).with_name("habitus"), "--version"], folder)
+        inside = _environment(python, folder, [package.resolve()])
+        for word in ("--version", "doctor"):
+            _run([inside, "-m", "habitus", word], folder)
         _run(
             [
                 inside,
@@ -82,7 +123,8 @@ def try_out(wheel: Path, python: str) -> None:
 def _environment(python: str, folder: str, packages: list) -> str:
     """The Python of a new environment with these packages."""
     _run([python, "-m", "venv", Path(folder) / "env"])
-    inside = str(Path(folder) / "env" / "bin" / "python")
+    scripts = "Scripts" if os.name == "nt" else "bin"
+    inside = str(Path(folder) / "env" / scripts / "python")
     _run([inside, "-m", "pip", "install", "--quiet", *packages])
     return inside
 

@@ -14,6 +14,7 @@ from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.keypoints.read import read_detections as read_detections
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
+from habitus.io.models.bodies import save_body as save_body
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive

@@ -284,9 +284,21 @@ def locked(folder: Path, ours: Collection[str] = ()) -> Iterator[None]:
         tidy(target.parent, ours, target.name)
         yield
     finally:
-        with suppress(OSError):  # who waits for it sees that it has no name any more
-            os.unlink(lock.lock_file)
+        removed = _removed(lock.lock_file)  # who waits for it sees that it has no name any more
         lock.release()
+        if not removed:  # Windows removes no open file
+            _removed(lock.lock_file)
         if is_new:
             with suppress(OSError):  # it holds results
                 folder.rmdir()
+
+
+def _removed(path: str) -> bool:
+    """Whether there is no such file any more."""
+    try:
+        os.unlink(path)
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+    return True

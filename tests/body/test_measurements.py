@@ -1,4 +1,5 @@
 import math
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -197,3 +198,15 @@ def test_the_page_tells_every_measurement():
     for name, told in DEFINITIONS.items():
         arms = "hanging" if posture_of(name) == HANGING_ARMS else "level"
         assert f"| `{name}` | {told.says} | {arms} | {told.iso} | {told.column} |" in page
+
+
+def test_a_name_of_the_standard_means_its_own_row():
+    """`--also waist_girth=` once meant the girth at the navel. "waist height" is the navel's in
+    ISO 7250-1's sense, which this project's `waist_height_m` follows.
+    """
+    for name, definition in DEFINITIONS.items():
+        for iso in filter(None, definition.iso.split(", ")):
+            with suppress(HabitusError):  # some are too long to be names
+                assert find_measurement(iso) == name or iso == "waist height", iso
+    assert find_measurement("waist_girth") == "natural_waist_circumference_m"
+    assert find_measurement("chest_girth") == "chest_circumference_m"

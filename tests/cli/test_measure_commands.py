@@ -57,3 +57,12 @@ def test_bad_input_is_one_line(arguments, words, capsys):
     assert run(*arguments) == 2
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("more", "notes"), [((), 1), (("--also", "waist_girth=0.75"), 0), (("--hip", "1.0"), 1)]
+)
+def test_a_waist_is_said_to_be_at_the_navel(more, notes, capsys):
+    """A tailor's waist, where none is given, is another: 5 cm less on women."""
+    main(["body", "--height", "1.7", "--sex", "female", "--waist", "0.8", *more])
+    assert capsys.readouterr().out.count("a tailor's waist is --also waist_girth=") == notes

@@ -209,7 +209,7 @@ def find_measurement(name: str, known: Iterable[str] = DEFINITIONS) -> str:
     """
     known = tuple(known)
     plain = name.strip().lower().replace("-", "_").replace(" ", "_")
-    words = (plain, plain.replace("_girth", "_circumference"), ALIASES.get(plain, plain))
+    words = (plain, ALIASES.get(plain, plain), plain.replace("_girth", "_circumference"))
     for word in words:
         for full in (word, *(f"{word}{ending}" for ending in _UNITS)):
             if full in known:

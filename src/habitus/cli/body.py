@@ -95,6 +95,13 @@ def run(options: Body, console: "Console | None" = None) -> None:
     )
     for note in notes:
         say(console, note, "note")
+    if options.waist is not None and "natural_waist_circumference_m" not in full:
+        say(
+            console,
+            "--waist is the girth at the navel; a tailor's waist is "
+            f"--also waist_girth={options.waist:g}",
+            "note",
+        )
     table = Table(box=None, pad_edge=False)
     for heading in ("measurement", "value", "± sd", "given"):
         table.add_column(heading, justify="left" if heading == "measurement" else "right")

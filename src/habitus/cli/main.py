@@ -161,9 +161,13 @@ options:
 
 
 def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
+    from importlib import import_module
+
     try:
         with TorchIsAnExtra(f"habitus {name}"):
             command, options = _parsed(name, arguments)
+            for module in command.NEEDS:
+                import_module(module)
             stop.left = lambda: command.left(options)
             stop.begun = True
             return command.run(options) or 0
@@ -189,7 +193,7 @@ def _refused(error: HabitusError, verbose: bool) -> int:
 
 
 def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
-    """The command's module and its options; what the command needs is imported."""
+    """The command's module and its options."""
     from importlib import import_module
     from inspect import cleandoc
 
@@ -204,8 +208,6 @@ def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
         options = tyro.cli(
             command.OPTIONS, args=arguments, prog=prog, description=about, config=config
         )
-    for module in command.NEEDS:
-        import_module(module)
     return command, options
 
 

@@ -3,12 +3,17 @@
 import hashlib
 import os
 import re
+import unicodedata
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePath
 
 from habitus.errors import HabitusError, shown
 from habitus.io.limits import MAX_NAME_LENGTH
 
-_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+_RESERVED = re.compile(
+    r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[\d¹²³]) *(\..*)?", re.IGNORECASE
+)
 _APART = re.compile(r'[<>:"/\\|?*]')
 _MAX_LENGTH = 180  # bytes; with what is put before and after it, 255 are never reached
 _ANY = 1 << 30
@@ -20,7 +25,7 @@ def inside(path: str) -> Path:
     Raises HabitusError for one that is absolute, leads up or is empty.
     """
     way = PurePath(path)
-    if not path.strip() or "\0" in path or way.is_absolute() or ".." in way.parts:
+    if not path.strip() or "\0" in path or way.anchor or ".." in way.parts:  # C:x has an anchor
         raise HabitusError(
             f"{shown(path)!r} leads out of the folder that names it; expected a file beside it or "
             "below"
@@ -59,7 +64,16 @@ def shown_stem(path: Path) -> str:
     """A file's name without its ending, as a text that can be shown and encoded: what is no text
     becomes an escape.
     """
-    return shown(os.fsencode(path.stem).decode("utf-8", "backslashreplace"), _ANY)
+    return shown(escaped(path.stem), _ANY)
+
+
+def escaped(name: str) -> str:
+    """A file's name with escapes for the bytes that are no UTF-8."""
+    try:
+        encoded = os.fsencode(name)
+    except UnicodeEncodeError:  # a locale of few letters
+        encoded = name.encode("utf-8", "surrogatepass")
+    return encoded.decode("utf-8", "backslashreplace")
 
 
 def file_name(text: str, where: str = "") -> str:
@@ -82,3 +96,25 @@ def file_name(text: str, where: str = "") -> str:
         digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
         name = f"{name.encode()[:_MAX_LENGTH].decode(errors='ignore')}~{digest}"
     return name
+
+
+def name_key(folder: Path) -> Callable[[str], str]:
+    """What two names have in common that are one file in a folder: on most disks of Windows and
+    macOS, names that differ in case alone, or in how their letters are composed.
+    """
+    there = next(
+        place for place in (folder.absolute(), *folder.absolute().parents) if place.exists()
+    )
+    named = next(
+        (place for place in (there, *there.parents) if place.name.swapcase() != place.name), None
+    )
+    if named is None or not named.with_name(named.name.swapcase()).exists():
+        return str
+    return lambda name: unicodedata.normalize("NFC", name).casefold()
+
+
+def one_file(names: Sequence[str], folder: Path) -> list[str]:
+    """The names that would share a file in a folder with another of them."""
+    key = name_key(folder)
+    counts = Counter(map(key, names))
+    return sorted({name for name in names if counts[key(name)] > 1})

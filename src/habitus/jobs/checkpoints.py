@@ -169,6 +169,7 @@ class Checkpoint:
                 or self._surfaces.shape != shape
                 or self._surfaces.dtype != np.float32
             ):
+                self._surfaces = None  # Windows does not shorten a mapped file
                 self._surfaces = np.lib.format.open_memmap(path, "w+", np.float32, shape)
                 done = 0
         except (ValueError, HabitusError) as error:

@@ -137,4 +137,7 @@ def _read(source: Moving | PathLike, body: BodyModel | PathLike | None) -> Movin
 
 def _way(folder: Path, page: Path) -> str:
     """How a page in a folder links to another one."""
-    return Path(os.path.relpath(page.resolve(), folder.resolve())).as_posix()
+    try:
+        return Path(os.path.relpath(page.resolve(), folder.resolve())).as_posix()
+    except ValueError:  # on another drive of Windows
+        return page.resolve().as_uri()

@@ -4,7 +4,7 @@ subject's.
 
 import os
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from habitus.errors import HabitusError
 from habitus.io.captures.read import PARSERS, Capture
 from habitus.io.captures.trc import is_fit_export
-from habitus.io.names import file_name, shown_stem
+from habitus.io.names import file_name, name_key, shown_stem
 
 SURE = (".c3d", ".trc")
 """Endings that only captures have; tables and archives may hold anything."""
@@ -95,7 +95,7 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[CaptureFile]:
             captures += below
         else:
             captures.append(CaptureFile(path, Path(), "", True))
-    return _named(captures)
+    return _named(captures, name_key(out))
 
 
 def _below(folder: Path, out: Path) -> Iterator[Path]:
@@ -116,12 +116,12 @@ def _safe(relative: Path) -> Path:
     return Path(*(file_name(part) for part in relative.parts))
 
 
-def _named(captures: Sequence[CaptureFile]) -> list[CaptureFile]:
+def _named(captures: Sequence[CaptureFile], key: Callable[[str], str]) -> list[CaptureFile]:
     """With the names of their results: those of one folder that differ in their endings have these
     in their names.
     """
     stems = Counter(
-        (capture.place, capture.path.stem) for capture in captures if not capture.exported
+        (capture.place, key(capture.path.stem)) for capture in captures if not capture.exported
     )
     repeated = {key for key, count in stems.items() if count > 1}
     named = [
@@ -130,7 +130,7 @@ def _named(captures: Sequence[CaptureFile]) -> list[CaptureFile]:
             name=_stem(
                 capture.path,
                 capture.exported
-                or (not capture.given and (capture.place, capture.path.stem) in repeated),
+                or (not capture.given and (capture.place, key(capture.path.stem)) in repeated),
             ),
         )
         for capture in captures
@@ -138,7 +138,7 @@ def _named(captures: Sequence[CaptureFile]) -> list[CaptureFile]:
     twice = [
         key
         for key, count in Counter(
-            (capture.place, capture.name) for capture in named if not capture.exported
+            (capture.place, key(capture.name)) for capture in named if not capture.exported
         ).items()
         if count > 1
     ]

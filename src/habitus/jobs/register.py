@@ -19,7 +19,7 @@ from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.io.models.bodies import SHIPPED
-from habitus.io.names import file_name
+from habitus.io.names import file_name, one_file
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
@@ -73,7 +73,7 @@ def register_scans(
                     "one person"
                 )
             check_colours(read)
-        names = _folders(read) if out is not None else []
+        names = _folders(read, Path(out)) if out is not None else []
         registrar = made_ready(body, options.age, options.settings or SCANS)
         asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
         with one_blas_thread():
@@ -132,10 +132,10 @@ def _read(one: Scan | PathLike) -> list[Scan]:
     return [one] if isinstance(one, Scan) else [read_scan(path) for path in scans_in([one])]
 
 
-def _folders(scans: Sequence[Scan]) -> list[str]:
+def _folders(scans: Sequence[Scan], out: Path) -> list[str]:
     """A folder's name for each scan. Raises HabitusError where two would share one."""
     names = [file_name(scan.name, f"the scan {scan.name!r}") for scan in scans]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = one_file(names, out)
     if twice:
         raise HabitusError(
             f"several scans are called {', '.join(twice)}; expected names that differ; rename one"

@@ -17,7 +17,7 @@ from habitus.files import replaceable
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.points.scan_result import ScanFit
 from habitus.io.captures.read import Capture
-from habitus.io.names import file_name
+from habitus.io.names import file_name, one_file
 from habitus.io.people import BodyLike, read_fit, read_motion
 from habitus.jobs.anatomy import angles
 from habitus.report.fit.page import report_page
@@ -151,7 +151,7 @@ def capture_folders(out: Path, captures: Sequence[Capture], several: bool) -> di
         names[id(capture)] = (
             file_name(f"{name}_{capture.subject or 'unnamed'}") if several else name
         )
-    twice = sorted({name for name in names.values() if list(names.values()).count(name) > 1})
+    twice = one_file(list(names.values()), out)
     if twice:
         raise HabitusError(
             f"several captures are called {', '.join(twice)}, so their results would overwrite "

@@ -50,7 +50,7 @@ def _reserve(file: int, size: int) -> None:
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file, 0, size)
     else:
-        os.truncate(file, size)
+        os.ftruncate(file, size)
 
 
 def _folder() -> str:

@@ -118,7 +118,7 @@ def _capture(row: Mapping[str, Any], sums: dict[str, _Sum], out: Path, pictures:
         sums[row["subject"]].add(level, facts)
     name = row["path"] + (f" · {row['person']}" if row["person"] else "")
     report = Path(row["folder"]) / "report.html"
-    link = quote(os.fsencode(report)) if done and (out / report).is_file() else ""
+    link = quote(os.fsencode(report.as_posix())) if done and (out / report).is_file() else ""
     reasons = facts.reasons if done else (row["reason"] or "not fitted yet",)
     return [
         shown(name, MAX_NAME),
@@ -190,7 +190,7 @@ def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     types = dict(_COLUMNS)
     with tempfile.TemporaryDirectory() as folder, atomic_write(path) as target:
         lines = Path(folder) / "rows.ndjson"
-        with lines.open("w", encoding="utf-8") as file:
+        with lines.open("w", encoding="utf-8", newline="\n") as file:
             for row in rows:
                 flat = _flat_row(row)
                 for name, value in flat.items():

@@ -150,10 +150,8 @@ def _numbers(path: Path) -> dict[str, Any] | None:
 
 def _row(place: Path, numbers: dict[str, Any] | None) -> str:
     name = escape(shown(place, MAX_NAME))
-    link = (
-        "<th scope='row'><a "
-        f"href='{escape(quote(os.fsencode(place / 'report.html')))}'><bdi>{name}</bdi></a></th>"
-    )
+    page = quote(os.fsencode((place / "report.html").as_posix()))
+    link = f"<th scope='row'><a href='{escape(page)}'><bdi>{name}</bdi></a></th>"
     if numbers is None:
         return (
             f"<tr>{link}<td colspan='{len(_HEADS) - 1}' class='unread'>metrics.json cannot be "

@@ -148,7 +148,7 @@ def serve(
     has ended.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the solver handles Ctrl-C
-    sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the caller prints the page's address
+    sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - the caller prints the page's address
     if hasattr(os, "nice"):
         os.nice(5)
     logging.disable(logging.CRITICAL)  # a browser that disconnects is not an error

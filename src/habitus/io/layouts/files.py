@@ -134,7 +134,7 @@ def load_layout(name_or_path: str | os.PathLike[str]) -> MarkerLayout:
     unexpected.
     """
     text = os.fspath(name_or_path)
-    if text.lower().endswith(FORMS) or os.sep in text:
+    if text.lower().endswith(FORMS) or os.sep in text or "/" in text:
         return _load_file(Path(text), ())
     plain = _plain(text)
     for layout in shipped_layouts():

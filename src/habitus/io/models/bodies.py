@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from habitus.body.joint_layouts import find_layout
+from habitus.body.joint_layouts import SMPLH, find_layout
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import find_pose_features, of_joints
 from habitus.body.prior import PosePrior
@@ -414,7 +414,7 @@ def named_vertices(arrays: ModelArrays, v: int) -> Mapping[str, int]:
     return MappingProxyType(dict(zip(names, (int(vertex) for vertex in vertices), strict=True)))
 
 
-def save_body(model: BodyModel, path: str | Path) -> None:
+def save_body(model: BodyModel, path: str | Path, *, shape_directions: int = 0) -> None:
     """Write a body model, whole or not at all, with the official names, so that other tools read it
     too.
 
@@ -424,10 +424,11 @@ def save_body(model: BodyModel, path: str | Path) -> None:
     ``body.full``: save that by itself. A ``.pkl`` has no hinges; its ``posedirs`` stand in for
     them. Official files have no word for pose blend shapes that are driven by anything but SMPL's
     rotations: such a body goes to a ``.npz`` under the project's own names, which nothing else
-    reads.
+    reads. shape_directions: zero directions are added to the body's own up to so many; ``smplx``
+    takes 10 of an SMPL or SMPL-H with fewer than 300, without a message.
 
-    Raises HabitusError for such a body's ``.pkl``, for another ending, or where nothing can be
-    written.
+    Raises HabitusError for such a body's ``.pkl``, for another ending, for added directions of a
+    body with more joints than SMPL-H's, or where nothing can be written.
     """
     target = Path(path)
     if target.suffix not in (".npz", ".pkl"):
@@ -442,6 +443,15 @@ def save_body(model: BodyModel, path: str | Path) -> None:
     if target.suffix == ".pkl":
         model = replace(model, hinges=None)
     arrays = official_form(model) if official else project_form(model)
+    if shape_directions > model.num_betas:
+        if not official or model.num_joints > len(SMPLH.joint_names):
+            raise HabitusError(
+                f"shape_directions={shape_directions} for a body with {model.num_joints} joints; "
+                "expected one of SMPL's or SMPL-H's: load_body(..., joints='smplh')"
+            )
+        ours, others = np.split(arrays["shapedirs"], [model.num_betas], axis=2)
+        zeros = np.zeros((*ours.shape[:2], shape_directions - model.num_betas))
+        arrays["shapedirs"] = np.concatenate([ours, zeros, others], axis=2)
     with atomic_write(target) as temporary, temporary.open("wb") as file:
         if target.suffix == ".npz":
             np.savez(file, allow_pickle=False, **arrays)

@@ -6,6 +6,7 @@ import tempfile
 import zipfile
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -163,8 +164,10 @@ def _write_folder(registrations: Registrations, target: Path, dtype: type) -> No
             np.save(temporary / f"{key}.npy", array, allow_pickle=False)
         columns = {key: getattr(registrations, key) for key in WORDS[:-1]}
         table = table_text({key: words for key, words in columns.items() if words})
-        (temporary / "registrations.csv").write_text(table, encoding="utf-8")
+        (temporary / "registrations.csv").write_text(table, encoding="utf-8", newline="\n")
         temporary.chmod(0o755)
+        with suppress(OSError):
+            target.rmdir()  # an empty one, which Windows does not replace
         os.replace(temporary, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

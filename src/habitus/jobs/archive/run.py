@@ -1,7 +1,6 @@
 """An archive: every capture below a folder, fitted subject by subject, in parallel processes."""
 
 import json
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +14,7 @@ from typing import Any
 from habitus import __version__
 from habitus.errors import HabitusError, check_extra
 from habitus.files import locked, tidy
-from habitus.io.names import file_name
+from habitus.io.names import escaped, file_name
 from habitus.jobs.archive.grouping import SubjectsTable, grouped_by_subject, read_subjects
 from habitus.jobs.archive.items import (
     ArchiveJob,
@@ -412,7 +411,7 @@ def _called(relative: Path) -> str:
     """A file in the manifest: its path below the folder of captures, as a text whatever it
     holds.
     """
-    return os.fsencode(relative.as_posix()).decode("utf-8", "backslashreplace")
+    return escaped(relative.as_posix())
 
 
 def _stamp(path: Path) -> tuple[int, int]:
