@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_character import write_character
+from made_fbx_character import write_fbx_character
 from snippets import PAGES, ROOT, Snippet, commands, inline, snippets
 
 import habitus as hb
@@ -364,6 +365,7 @@ def place(tmp_path_factory) -> Iterator[Path]:
         shutil.copy("results/walk/body.npz", "results/body.npz")
         save_body(load_body("neutral"), "smplh.npz")
         write_character(Path("character.glb"), step=4)
+        write_fbx_character(Path("character.fbx"), step=4)
         for line in (
             "export female --out character.vrm",
             "export results/walk/body.npz --out walk.bvh",

@@ -33,7 +33,8 @@ def write_fbx_character(
     plain: bool = False,
 ) -> None:
     """Write it as binary .fbx. scale: of the armature. unit: UnitScaleFactor. posed: radians by
-    which nodes are turned from the bind pose. frames: of a motion of both shoulders. plain: PreRotation alone turns joints at rest.
+    which nodes are turned from the bind pose. frames: of a motion of both shoulders. plain:
+    PreRotation alone turns joints at rest.
     """
     body, rng = load_body("default"), np.random.default_rng(seed)
     pose = np.zeros((body.num_joints, 3))
