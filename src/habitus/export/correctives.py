@@ -247,8 +247,9 @@ def _components(
     scale = np.maximum(
         np.abs(np.concatenate([c @ weighing for c in terms])).max(axis=0, initial=0.0), 1e-12
     )
-    shapes = (flat @ (inverse @ turn) * scale).reshape(len(block.vertices), 3, -1)
-    return values, shapes, weighing / scale
+    # a row a direction: what takes them one after another reads memory in order
+    shapes = ((inverse @ turn * scale).T @ flat.T).reshape(-1, len(block.vertices), 3)
+    return values, np.moveaxis(shapes, 0, -1), weighing / scale
 
 
 def _baked(block: Block) -> tuple[Block, tuple[str, ...]]:
@@ -340,36 +341,54 @@ def _fewest(morphs: Morphs, worst: float) -> Morphs:
     ``worst`` (m).
     """
     weights = np.concatenate(morphs.weights)
-    reach = np.linalg.norm(morphs.shapes, axis=-1).max(axis=1) * np.abs(weights).max(axis=0)
+    reach = np.sqrt(_squares(morphs.shapes).max(axis=1)) * np.abs(weights).max(axis=0)
     reach[morphs.drivers.live] = np.inf  # also of joints that this motion leaves still
     order = np.argsort(reach, kind="stable")
     fewest = 0
+    largest = _largest(morphs.shapes)
     most = int(np.searchsorted(reach[order], max(worst, 1e-9)))  # one alone may not be too much
     while fewest < most:
         middle = (fewest + most + 1) // 2
         fewest, most = (
             (middle, most)
-            if _worst(morphs, order[:middle], weights)[1] <= worst
+            if _worst(morphs, order[:middle], weights, largest)[1] <= worst
             else (fewest, middle - 1)
         )
-    rms, far = _worst(morphs, order[:fewest], weights)
+    rms, far = _worst(morphs, order[:fewest], weights, largest)
     return _kept(morphs, np.sort(order[fewest:]), rms, far)
 
 
 def _worst(
-    morphs: Morphs, left: np.ndarray, weights: np.ndarray | None = None
+    morphs: Morphs,
+    left: np.ndarray,
+    weights: np.ndarray | None = None,
+    largest: Float[np.ndarray, " K"] | None = None,
 ) -> tuple[float, float]:
     """RMS and largest distance (m) by which these morphs move vertices in the frames that they can
-    move most.
+    move most; ``largest``: `_largest` of all of them, where it is known.
     """
     if not len(left):
         return 0.0, 0.0
-    drive = (np.concatenate(morphs.weights) if weights is None else weights)[:, left]
-    shapes = morphs.shapes[left].reshape(len(left), -1)
-    most = np.abs(drive) @ np.abs(shapes).max(axis=1)
+    largest = _largest(morphs.shapes) if largest is None else largest
+    drive = np.concatenate(morphs.weights) if weights is None else weights
+    most = np.abs(drive[:, left]) @ largest[left]
     frames = np.argsort(-most)[:CHECKED]
-    away = np.linalg.norm((drive[frames] @ shapes).reshape(len(frames), -1, 3), axis=-1)
-    return float(np.sqrt((away**2).mean())), float(away.max())
+    some = np.zeros((len(frames), len(morphs.shapes)))  # to pick shapes would copy them
+    some[:, left] = drive[np.ix_(frames, left)]
+    moved = some @ morphs.shapes.reshape(len(morphs.shapes), -1)
+    squares = _squares(moved.reshape(len(frames), -1, 3))
+    return float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
+
+
+def _largest(shapes: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, " K"]:
+    """The largest offset (m) of each along an axis."""
+    flat = shapes.reshape(len(shapes), -1)
+    return np.maximum(flat.max(axis=1), -flat.min(axis=1))
+
+
+def _squares(offsets: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    """Squared lengths; `numpy.linalg.norm` takes ten times as long along three numbers."""
+    return np.einsum("...c,...c->...", offsets, offsets)
 
 
 def _kept(morphs: Morphs, rows: np.ndarray, residual: float, worst: float | None = None) -> Morphs:
@@ -437,12 +456,14 @@ def fold_names(rows: Float[np.ndarray, "C 9"], bias: Float[np.ndarray, " C"]) ->
     """``fold_135`` for each channel of a joint by the angle where it begins, in degrees; ``fold_1``
     and on where two are alike.
     """
-    angles = [round(beginning(*each)) for each in zip(rows, bias, strict=True)]
+    angles = [round(angle) for angle in beginning(rows, bias)]
     alike = len(set(angles)) < len(angles)
     return tuple(f"fold_{k + 1 if alike else angle}" for k, angle in enumerate(angles))
 
 
-def beginning(row: Float[np.ndarray, " 9"], bias: float) -> float:
+def beginning(
+    rows: Float[np.ndarray, "*batch 9"], bias: Float[np.ndarray, "*#batch"] | float
+) -> Float[np.ndarray, "*batch"]:
     """The least angle (degrees) by which any rotation makes row . vec(R - I) as large as ``bias``;
     180 where none does.
 
@@ -450,18 +471,25 @@ def beginning(row: Float[np.ndarray, " 9"], bias: float) -> float:
     angle. The most that q_0^2 can be where q K q >= 0 is, by duality, the least of the largest
     eigenvalues of e_0 e_0^T + x K over x >= 0, which are convex in x.
     """
-    m = row.reshape(3, 3)
-    k = np.zeros((4, 4))
-    k[0, 1:] = k[1:, 0] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    k[1:, 1:] = m + m.T - 2 * np.trace(m) * np.eye(3)
-    k -= bias * np.eye(4)
+    m = rows.reshape(*rows.shape[:-1], 3, 3)
+    turned = np.swapaxes(m, -1, -2)
+    k = np.zeros((*rows.shape[:-1], 4, 4))
+    skew = m - turned
+    k[..., 0, 1:] = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    k[..., 1:, 0] = k[..., 0, 1:]
+    trace = np.trace(m, axis1=-2, axis2=-1)[..., None, None]
+    k[..., 1:, 1:] = m + turned - 2 * trace * np.eye(3)
+    k -= np.asarray(bias)[..., None, None] * np.eye(4)
     first = np.diag([1.0, 0, 0, 0])
-    low, high = 0.0, 1e4 / np.abs(k).max()
+
+    def largest(x: np.ndarray) -> np.ndarray:
+        return np.linalg.eigvalsh(first + x[..., None, None] * k)[..., -1]
+
+    high = 1e4 / np.abs(k).max(axis=(-2, -1))
+    low = np.zeros_like(high)
     for _ in range(100):
         a, b = (2 * low + high) / 3, (low + 2 * high) / 3
-        if np.linalg.eigvalsh(first + a * k)[-1] < np.linalg.eigvalsh(first + b * k)[-1]:
-            high = b
-        else:
-            low = a
-    most = np.clip(np.linalg.eigvalsh(first + low * k)[-1], 0.0, 1.0)
-    return float(np.degrees(2 * np.arccos(np.sqrt(most))))
+        smaller = largest(a) < largest(b)
+        low, high = np.where(smaller, low, a), np.where(smaller, b, high)
+    most = np.clip(largest(low), 0.0, 1.0)
+    return np.asarray(np.degrees(2 * np.arccos(np.sqrt(most))))
