@@ -190,6 +190,7 @@ def _refused(error: HabitusError, verbose: bool) -> int:
 
 def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
     """The command's module and its options; what the command needs is imported."""
+    import gc
     from importlib import import_module
     from inspect import cleandoc
 
@@ -206,6 +207,7 @@ def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
         )
     for module in command.NEEDS:
         import_module(module)
+    gc.freeze()  # modules stay: no collection needs to look at what they hold
     return command, options
 
 
