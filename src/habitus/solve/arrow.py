@@ -106,8 +106,8 @@ class ArrowMatrix:
         np.einsum("fnn->fn", blocks)[...] += added
         np.linalg.cholesky(blocks)  # raises where one is not positive definite
         solved = np.linalg.solve(blocks, np.concatenate([self.border, rest[..., None]], axis=2))
-        across = self.border.reshape(-1, size).T
-        flat = solved.reshape(-1, size + 1)
+        across = self.border.reshape(rest.size, size).T
+        flat = solved.reshape(rest.size, size + 1)
         head = scipy.linalg.cho_solve(
             scipy.linalg.cho_factor(
                 schur - across @ flat[:, :size], lower=True, check_finite=False
