@@ -470,10 +470,8 @@ class BodyArrays:
         of shape and expression, of shape, expression and dynamics, or of these and the face.
         """
         count = coefficients or self.num_betas
-        key = (kind, count) if ids is None else (kind, count, ids.tobytes())
-        few = self._cache.setdefault("few", {})  # solvers ask for the same few again and again
-        if known := self._cache.get(key) or few.get(key):
-            return known
+        if ids is None and (kind, count) in self._cache:
+            return self._cache[kind, count]
         some = slice(None) if ids is None else ids
         directions = [self.shapedirs]
         if count > self.num_betas and self.expressiondirs is not None:
@@ -492,9 +490,5 @@ class BodyArrays:
                 kind, some, self.v_template, directions, self.pose_directions, *weights, driven
             )
         if ids is None:
-            self._cache[key] = rows
-        elif kind.xp is np and len(ids) <= 1000:  # 7 MB; tensors may belong to inference mode
-            few[key] = rows
-            for old in list(few)[:-4]:
-                few.pop(old, None)
+            self._cache[kind, count] = rows
         return rows

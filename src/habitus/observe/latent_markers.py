@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from habitus.body.model import BodyModel
 from habitus.kernels.simd import lane_array
 from habitus.observe.marker_jacobian_kernels import marker_columns
+from habitus.observe.marker_kernels import predict_frames
 from habitus.observe.marker_rig import (
     Offsets,
     SimdRig,
@@ -72,9 +73,15 @@ class LatentMarkers:
         trans: Float[np.ndarray, "F 3"],
     ) -> Float[np.ndarray, "F M 3"]:
         """The markers in F poses (rad) and places, metres."""
-        return predict_on_body(
-            self.body, self._at_rest(betas, latent_markers)[1], betas, pose, trans
-        )
+        attachment = self._at_rest(betas, latent_markers)[1]
+        if not kernels_cover(self.body):
+            return predict_on_body(self.body, attachment, betas, pose, trans)
+        rig, _, offsets = self._arrays
+        rig = rig._replace(coefficients=attachment.coefficients)
+        states = pack_states(rig, trans, pose, np.broadcast_to(betas, (len(pose), len(betas))))
+        found = np.empty((len(pose), attachment.num_markers, 3))
+        predict_frames(rig, offsets, lane_array(offsets.end), states, found)
+        return found
 
     def jacobian(self, betas, latent_markers, pose, trans) -> LatentJacobian:
         """The same with derivatives.
