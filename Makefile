@@ -5,7 +5,7 @@ PIP := $(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --
 USE := $(VENV)/.installed-to-use
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test types fuzz fuzz-minute docs without-torch clean
+.PHONY: demo test types fuzz fuzz-minute docs without-torch budget clean
 
 $(USE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -37,6 +37,9 @@ docs: $(STAMP)
 
 without-torch: $(STAMP)
 	PYTHON=$(PYTHON) .ci/without_torch
+
+budget: $(STAMP)
+	$(VENV)/bin/python benchmarks/budget.py
 
 clean:
 	rm -rf $(VENV) build/site

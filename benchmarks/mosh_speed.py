@@ -122,6 +122,7 @@ def command(path: Path, runs: int, body: str) -> dict:
     """
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # users' modules are compiled once
         cold = _measured(path, Path(folder) / "out", body, environment)
         warm = [_measured(path, Path(folder) / "out", body, environment) for _ in range(runs)]
     return {

@@ -5,14 +5,16 @@ Threads that wait for work by spinning, as OpenMP's and OpenBLAS' do, would keep
 from theirs.
 """
 
+import gc
 import importlib
 import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # the libraries read these when they are loaded
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from functools import lru_cache
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import jaxtyping
 import pytest
@@ -36,10 +38,25 @@ for package in (
 # Bodies that come along are immutable: each worker reads them once.
 bodies = importlib.import_module("habitus.io.models.bodies")
 _read_body = bodies._read_body
-_read_once = lru_cache(maxsize=8)(_read_body)
-bodies._read_body = lambda content, name, *level, **part: (
-    _read_once if name in bodies.SHIPPED else _read_body
-)(content, name, *level, **part)
+_known: dict[tuple, Any] = {}
+
+
+def _read_once(content: Any, name: str, *level: Any, **part: Any) -> Any:
+    if name not in bodies.SHIPPED:
+        return _read_body(content, name, *level, **part)
+    key = (content, name, *level, *sorted(part.items()))
+    body = _known[key] = _known.pop(key, None) or _read_body(content, name, *level, **part)
+    for old in list(_known)[:-8]:
+        del _known[old]
+    return body
+
+
+bodies._read_body = _read_once
+
+MAX_RESIDENT_MB = 2000
+"""Memory of a worker from which on the bodies forget what they computed: a body with all its
+vertices keeps up to 0.5 GB of arrays laid out for speed, and eight bodies in several kinds took a
+worker of the suite to 7 GB."""
 
 # Begun first, so that no worker ends with one of them alone. The second compiles no kernels: the
 # other worker finds those of the first on disk.
@@ -62,6 +79,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
     rank = {here / name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(item.path, len(rank)))
+
+
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """After a file that has left much in memory, bodies keep what was read alone."""
+    statm = Path("/proc/self/statm")  # other systems go without
+    if nextitem is None or nextitem.path == item.path or not statm.is_file():
+        return
+    resident = int(statm.read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if resident > 1e6 * MAX_RESIDENT_MB:
+        for body in _known.values():
+            for name in set(vars(body)) - {field.name for field in fields(body)}:
+                vars(body).pop(name)
+        gc.collect()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -5,6 +5,7 @@ Most of what the body computes reads the same in both libraries: ``xp = namespac
 imported: a tensor cannot come without it.
 """
 
+import math
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -151,9 +152,7 @@ def flatten(array: Array, first: int, last: int = -1) -> Array:
     first = first % array.ndim
     last = last % array.ndim
     shape = array.shape
-    return array.reshape(
-        *shape[:first], int(np.prod(shape[first : last + 1], dtype=np.int64)), *shape[last + 1 :]
-    )
+    return array.reshape(*shape[:first], math.prod(shape[first : last + 1]), *shape[last + 1 :])
 
 
 def unflatten(array: Array, axis: int, shape: Sequence[int]) -> Array:
@@ -161,7 +160,7 @@ def unflatten(array: Array, axis: int, shape: Sequence[int]) -> Array:
     if is_tensor(array):
         return array.unflatten(axis, tuple(shape))
     axis = axis % array.ndim
-    known = int(np.prod([n for n in shape if n >= 0], dtype=np.int64))
+    known = math.prod(n for n in shape if n >= 0)
     whole = [array.shape[axis] // max(known, 1) if n < 0 else n for n in shape]
     return array.reshape(*array.shape[:axis], *whole, *array.shape[axis + 1 :])
 
@@ -180,7 +179,11 @@ def take_along(array: Array, index: Array, axis: int) -> Array:
 
 def cross(a: Array, b: Array, axis: int = -1) -> Array:
     """The cross product along an axis of length 3; the other axes broadcast."""
-    return namespace(a).linalg.cross(a, b, axis=axis)
+    if is_tensor(a) or is_tensor(b):
+        return namespace(a).linalg.cross(a, b, axis=axis)
+    # numpy's own moves axes about, which for a few vectors takes longer than the products
+    (ax, ay, az), (bx, by, bz) = unbind(a, axis), unbind(b, axis)
+    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis)
 
 
 def multiply_add(total: Array, a: Array, b: Array) -> Array:

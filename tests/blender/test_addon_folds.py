@@ -12,7 +12,7 @@ from synthetic_fit import tube_body
 
 import habitus as hb
 from habitus.body.pose_features import pose_coefficients
-from habitus.export import correctives
+from habitus.export import folds
 from habitus.io.models.bodies import save_body
 
 BLENDER = Path(__file__).resolve().parents[2] / "blender"
@@ -89,4 +89,4 @@ def test_names_are_those_of_exports(addon):
         (rng.normal(size=(4, 9)), rng.uniform(0.1, 1.0, 4)),
         (np.tile(ROW, (2, 1)), np.array([0.5, 0.5])),
     ):
-        assert addon("folds").fold_names(rows, bias) == correctives.fold_names(rows, bias)
+        assert addon("folds").fold_names(rows, bias) == folds.fold_names(rows, bias)

@@ -14,9 +14,9 @@ from synthetic_fit import synthetic_fit, tube_body
 
 import habitus as hb
 from habitus.export.animation import Animation, animate, one_sided
-from habitus.export.correctives import beginning, fold_names
 from habitus.export.driven import write_drivers
 from habitus.export.fbx.write import write_fbx
+from habitus.export.folds import beginning, fold_names
 from habitus.export.glb import write_glb
 from habitus.export.usd import write_usd
 from habitus.learn.posing.hinge_rows import hinge_row

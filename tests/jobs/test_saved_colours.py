@@ -13,7 +13,7 @@ from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_result import ScanColours, ScanFit
 from habitus.fit.points.skin_grid import SkinGrid
 from habitus.io.scans import read_scan
-from habitus.jobs.results import ScanResult
+from habitus.jobs.register import ScanResult
 from habitus.mesh.normals import vertex_normals
 from habitus_lab.population.coarse_bodies import coarse_body
 from habitus_lab.population.painted_skin import PaintedSkin

@@ -14,7 +14,8 @@ from habitus.fit.markers.energy import place, shape_terms
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.observe.markers import LatentMarkers, attach, default_markers
+from habitus.observe.latent_markers import LatentMarkers
+from habitus.observe.markers import attach, default_markers
 from habitus.residuals.shape_stage import start_place
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
 from habitus.solve.terms import Unknowns

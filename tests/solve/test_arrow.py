@@ -7,7 +7,7 @@ import scipy.linalg
 from habitus.solve.arrow import ArrowMatrix
 
 
-@pytest.fixture(params=[(5, 3, 4), (1, 1, 1), (7, 6, 2)])
+@pytest.fixture(params=[(5, 3, 4), (1, 1, 1), (7, 6, 2), (0, 3, 4)])
 def arrow(request) -> ArrowMatrix:
     shared, count, width = request.param
     rng = np.random.default_rng(shared)

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from scipy.ndimage import map_coordinates
 
 from habitus.body.body_arrays import BodyMesh
 from habitus.errors import HabitusError
@@ -213,8 +212,13 @@ def _mask(name: str) -> Float[np.ndarray, "n n"]:
 
 def _sampled(image: Float[np.ndarray, "n n"], uv: Float[np.ndarray, "U 2"]) -> np.ndarray:
     """A square image's values (U,) at texture coordinates, bilinear."""
-    places = uv[:, ::-1] * [-len(image), len(image)] + [len(image), 0] - 0.5
-    return map_coordinates(image, places.T, order=1, mode="nearest")
+    size = len(image)
+    places = np.clip(uv[:, ::-1] * [-size, size] + [size, 0] - 0.5, 0, size - 1)
+    row, column = np.minimum(places.astype(np.int64), size - 2).T
+    down, along = (places - np.stack([row, column], axis=1)).T
+    upper = (1 - along) * image[row, column] + along * image[row, column + 1]
+    lower = (1 - along) * image[row + 1, column] + along * image[row + 1, column + 1]
+    return (1 - down) * upper + down * lower
 
 
 def resized(image: Float[np.ndarray, "n n"], size: int) -> Float[np.ndarray, "N N"]:

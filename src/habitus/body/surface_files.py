@@ -5,9 +5,11 @@ seams of the texture (`Seams`). The parts of a glTF document that `habitus.expor
 are here: `GltfBuffer`, `gltf_primitive`, `gltf_material`.
 """
 
+import json
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import struct
+from collections.abc import Callable, Mapping, Sized
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +112,7 @@ def _obj(
 def _glb(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None
 ) -> bytes:
-    return b"".join(mesh_document(vertices, faces, mesh).save_to_bytes())
+    return glb_bytes(mesh_document(vertices, faces, mesh))
 
 
 def write_textured(
@@ -140,7 +142,7 @@ def write_textured(
         )
         document.meshes[0].primitives[0].attributes.COLOR_0 = len(document.accessors) - 1
     with atomic_write(path) as temporary:
-        temporary.write_bytes(b"".join(document.save_to_bytes()))
+        temporary.write_bytes(glb_bytes(document))
 
 
 def _white_material(document: gl.GLTF2, roughness: float) -> gl.PbrMetallicRoughness:
@@ -170,6 +172,41 @@ def _add(document: gl.GLTF2, data: bytes, target: int | None = None) -> int:
     document.set_binary_blob(blob + data + b"\0" * (-len(data) % 4))
     document.buffers[0].byteLength = len(blob) + len(data) + (-len(data) % 4)
     return len(document.bufferViews) - 1
+
+
+def glb_bytes(document: gl.GLTF2) -> bytes:
+    """A document with one buffer in the binary form of glTF 2.0.
+
+    pygltflib's own `save_to_bytes` gives the same bytes; it copies each entry of the document
+    several times, which takes longer than the rest of the file where there are many morphs.
+    """
+    text = json.dumps(_entries(document), separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    blob = document.binary_blob() or b""
+    blob += b"\0" * (-len(blob) % 4)
+    parts = ((b"JSON", text), (b"BIN\0", blob))
+    chunks = b"".join(struct.pack("<I4s", len(part), kind) + part for kind, part in parts)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def _entries(value: Any) -> Any:
+    """What JSON holds of a part of a document: nothing that is None or empty, extensions apart."""
+    if isinstance(value, list | tuple):
+        return [_entries(item) for item in value]
+    if is_dataclass(value) or isinstance(value, gl.Attributes):
+        names = getattr(value, "__dataclass_fields__", vars(value))
+        return {
+            name: getattr(value, name) if name == "extensions" else _entries(getattr(value, name))
+            for name in names
+            if not _is_empty(getattr(value, name))
+        }
+    if isinstance(value, dict):
+        return {name: _entries(item) for name, item in value.items() if not _is_empty(item)}
+    return value
+
+
+def _is_empty(value: Any) -> bool:
+    return value is None or (isinstance(value, Sized) and not len(value))
 
 
 def obj_lines(vertices: np.ndarray) -> str:
@@ -263,39 +300,42 @@ class GltfBuffer:
         """Add an array of glTF type ``kind``; its accessor's number."""
         data = np.ascontiguousarray(array)
         columns = data.reshape(len(data), -1)
+        rows = np.ascontiguousarray(columns.T) if bounds else columns  # numpy reduces rows faster
         self.document.accessors.append(
             gl.Accessor(
                 bufferView=self._view(data, target),
                 componentType=_COMPONENTS[data.dtype.str[1:]],
                 count=columns.size if kind == gl.SCALAR else len(columns),
                 type=kind,
-                min=columns.min(axis=0).tolist() if bounds else None,
-                max=columns.max(axis=0).tolist() if bounds else None,
+                min=rows.min(axis=1).tolist() if bounds else None,
+                max=rows.max(axis=1).tolist() if bounds else None,
             )
         )
         return len(self.document.accessors) - 1
 
     def add_morph(self, offsets: Float[np.ndarray, "N 3"]) -> int:
         """Offsets (m) of vertices: those that move alone, where most do not."""
-        moved = np.flatnonzero(offsets.any(axis=1))
+        x, y, z = offsets.T != 0
+        moved = np.flatnonzero(x | y | z)
         if len(moved) > 0.8 * len(offsets):
             return self.add(offsets, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
         moved = moved if len(moved) else np.zeros(1, np.int64)
         index = moved.astype("u2" if len(offsets) < 65535 else "u4")
+        values = offsets[moved]
         self.document.accessors.append(
             gl.Accessor(
                 byteOffset=None,  # it has no view that one could count from
                 componentType=gl.FLOAT,
                 count=len(offsets),
                 type=gl.VEC3,
-                min=offsets.min(axis=0).tolist(),
-                max=offsets.max(axis=0).tolist(),
+                min=[float(each.min(initial=0.0)) for each in values.T],
+                max=[float(each.max(initial=0.0)) for each in values.T],
                 sparse=gl.Sparse(
                     count=len(index),
                     indices=gl.AccessorSparseIndices(
                         bufferView=self._view(index), componentType=_COMPONENTS[index.dtype.str[1:]]
                     ),
-                    values=gl.AccessorSparseValues(bufferView=self._view(offsets[moved])),
+                    values=gl.AccessorSparseValues(bufferView=self._view(values)),
                 ),
             )
         )

@@ -161,6 +161,7 @@ options:
 
 
 def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
+    import gc
     from importlib import import_module
 
     try:
@@ -168,6 +169,7 @@ def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
             command, options = _parsed(name, arguments)
             for module in command.NEEDS:
                 import_module(module)
+            gc.freeze()  # modules stay: no collection needs to look at what they hold
             stop.left = lambda: command.left(options)
             stop.begun = True
             return command.run(options) or 0

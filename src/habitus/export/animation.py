@@ -28,12 +28,11 @@ from habitus.export.correctives import (
     Morphs,
     check_correctives,
     features,
-    folds,
     morphs_of,
     principal,
     sampled_rotations,
-    softened,
 )
+from habitus.export.folds import folds, softened
 from habitus.export.skeleton import Skeleton, plain_skeleton
 from habitus.parallel.blocks import every_nth_frame
 from habitus.rotations import up_rotation

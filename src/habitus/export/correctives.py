@@ -198,19 +198,35 @@ def principal(blocks: Sequence[Block], vertices: int, max_count: int, tolerance:
     )
     name = "_and_".join(dict.fromkeys(_family(block) for block in reversed(blocks)))
     whole = Block(name, np.arange(vertices), np.concatenate(rows, -1), terms)
-    values, shapes, rows = _components(whole, terms)
-    weights = [c @ rows for c in terms]
+    values, modes, weighing = _modes(whole, terms)
     left = np.sqrt(
         np.append(np.cumsum(values[::-1])[::-1], 0.0) / (vertices * sum(map(len, terms)))
     )
     kept = int(min(max_count, np.argmax(left <= max(tolerance, 1e-9)), len(values)))
-    morphs = Morphs(
+    shapes, rows = _scaled(whole, terms, modes[:, :kept], weighing[:, :kept])
+    return Morphs(
         np.moveaxis(shapes, -1, 0),
-        _numbered(name, len(values)),
-        tuple(weights),
-        Drivers.linear(np.zeros((len(values), 9))),
+        _numbered(name, kept),
+        tuple(c @ rows for c in terms),
+        Drivers.linear(np.zeros((kept, 9))),
+        float(left[kept]),
+        _left_out(whole, terms, modes[:, kept:], weighing[:, kept:]),
     )
-    return _kept(morphs, np.arange(kept), float(left[kept]))
+
+
+def _left_out(
+    block: Block,
+    terms: Sequence[Float[np.ndarray, "_ n"]],
+    modes: Float[np.ndarray, "n K"],
+    weighing: Float[np.ndarray, "n K"],
+) -> float:
+    """The largest distance (m) by which these directions move vertices in the frames that they move
+    most, by energy; twice as many as by reach, as the farthest vertex may be in any of them.
+    """
+    weights = np.concatenate([c @ weighing for c in terms])
+    frames = np.argsort(-np.einsum("tk,tk->t", weights, weights))[: 2 * CHECKED]
+    moved = weights[frames] @ modes.T @ block.shapes.reshape(-1, len(modes)).T
+    return float(np.sqrt(_squares(moved.reshape(len(frames), -1, 3)).max(initial=0.0)))
 
 
 def _family(block: Block) -> str:
@@ -228,9 +244,21 @@ def _components(
     """Energies, directions and what turns coefficients into weights, of the deformation D = B C^T,
     largest first.
 
+    The weights of ``terms`` are within -1 and 1.
+    """
+    values, modes, weighing = _modes(block, terms)
+    return values, *_scaled(block, terms, modes, weighing)
+
+
+def _modes(
+    block: Block, terms: Sequence[Float[np.ndarray, "_ n"]]
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]]:
+    """Energies of D = B C^T, largest first, orthonormal directions as combinations of B's columns,
+    and what turns coefficients into their weights.
+
     With B^T B = U U^T (U from its eigenvectors) the columns of Q = B U^-T are orthonormal and the
     principal directions of D are Q v, v the leading eigenvectors of U^T (C^T C) U: no (3N, T)
-    matrix is ever built. The weights of ``terms`` are within -1 and 1.
+    matrix is ever built.
     """
     flat = block.shapes.reshape(-1, block.shapes.shape[-1])
     squares, axes = np.linalg.eigh(flat.T @ flat)
@@ -243,12 +271,23 @@ def _components(
     moved = values > 1e-20 * max(values[0], 1e-20)
     values = values[moved]
     turn = turn[:, moved]
-    weighing = root @ turn
+    return values, inverse @ turn, root @ turn
+
+
+def _scaled(
+    block: Block,
+    terms: Sequence[Float[np.ndarray, "_ n"]],
+    modes: Float[np.ndarray, "n K"],
+    weighing: Float[np.ndarray, "n K"],
+) -> tuple[Float[np.ndarray, "N 3 K"], Float[np.ndarray, "n K"]]:
+    """Directions whose weights are within -1 and 1, and what turns coefficients into these."""
     scale = np.maximum(
         np.abs(np.concatenate([c @ weighing for c in terms])).max(axis=0, initial=0.0), 1e-12
     )
-    shapes = (flat @ (inverse @ turn) * scale).reshape(len(block.vertices), 3, -1)
-    return values, shapes, weighing / scale
+    # a row a direction: what takes them one after another reads memory in order
+    flat = block.shapes.reshape(-1, len(modes))
+    shapes = ((modes * scale).T @ flat.T).reshape(-1, len(block.vertices), 3)
+    return np.moveaxis(shapes, 0, -1), weighing / scale
 
 
 def _baked(block: Block) -> tuple[Block, tuple[str, ...]]:
@@ -340,128 +379,58 @@ def _fewest(morphs: Morphs, worst: float) -> Morphs:
     ``worst`` (m).
     """
     weights = np.concatenate(morphs.weights)
-    reach = np.linalg.norm(morphs.shapes, axis=-1).max(axis=1) * np.abs(weights).max(axis=0)
+    reach = np.sqrt(_squares(morphs.shapes).max(axis=1)) * np.abs(weights).max(axis=0)
     reach[morphs.drivers.live] = np.inf  # also of joints that this motion leaves still
     order = np.argsort(reach, kind="stable")
     fewest = 0
+    largest = _largest(morphs.shapes)
     most = int(np.searchsorted(reach[order], max(worst, 1e-9)))  # one alone may not be too much
     while fewest < most:
         middle = (fewest + most + 1) // 2
         fewest, most = (
             (middle, most)
-            if _worst(morphs, order[:middle], weights)[1] <= worst
+            if _worst(morphs, order[:middle], weights, largest)[1] <= worst
             else (fewest, middle - 1)
         )
-    rms, far = _worst(morphs, order[:fewest], weights)
+    rms, far = _worst(morphs, order[:fewest], weights, largest)
     return _kept(morphs, np.sort(order[fewest:]), rms, far)
 
 
 def _worst(
-    morphs: Morphs, left: np.ndarray, weights: np.ndarray | None = None
+    morphs: Morphs,
+    left: np.ndarray,
+    weights: np.ndarray | None = None,
+    largest: Float[np.ndarray, " K"] | None = None,
 ) -> tuple[float, float]:
     """RMS and largest distance (m) by which these morphs move vertices in the frames that they can
-    move most.
+    move most; ``largest``: `_largest` of all of them, where it is known.
     """
     if not len(left):
         return 0.0, 0.0
-    drive = (np.concatenate(morphs.weights) if weights is None else weights)[:, left]
-    shapes = morphs.shapes[left].reshape(len(left), -1)
-    most = np.abs(drive) @ np.abs(shapes).max(axis=1)
+    largest = _largest(morphs.shapes) if largest is None else largest
+    drive = np.concatenate(morphs.weights) if weights is None else weights
+    most = np.abs(drive[:, left]) @ largest[left]
     frames = np.argsort(-most)[:CHECKED]
-    away = np.linalg.norm((drive[frames] @ shapes).reshape(len(frames), -1, 3), axis=-1)
-    return float(np.sqrt((away**2).mean())), float(away.max())
+    some = np.zeros((len(frames), len(morphs.shapes)))  # to pick shapes would copy them
+    some[:, left] = drive[np.ix_(frames, left)]
+    moved = some @ morphs.shapes.reshape(len(morphs.shapes), -1)
+    squares = _squares(moved.reshape(len(frames), -1, 3))
+    return float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
 
 
-def _kept(morphs: Morphs, rows: np.ndarray, residual: float, worst: float | None = None) -> Morphs:
-    """Some of the morphs; ``worst`` is measured where it is not known."""
-    if worst is None:
-        left = np.setdiff1d(np.arange(len(morphs.names)), rows)
-        worst = _worst(morphs, left)[1]
+def _largest(shapes: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, " K"]:
+    """The largest offset (m) of each along an axis."""
+    flat = shapes.reshape(len(shapes), -1)
+    return np.maximum(flat.max(axis=1), -flat.min(axis=1))
+
+
+def _squares(offsets: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    """Squared lengths; `numpy.linalg.norm` takes ten times as long along three numbers."""
+    return np.einsum("...c,...c->...", offsets, offsets)
+
+
+def _kept(morphs: Morphs, rows: np.ndarray, residual: float, worst: float) -> Morphs:
+    """Some of the morphs."""
     names = tuple(morphs.names[k] for k in rows)
     weights = tuple(w[:, rows] for w in morphs.weights)
     return Morphs(morphs.shapes[rows], names, weights, morphs.drivers[rows], residual, worst)
-
-
-def folds(
-    body: BodyModel,
-    betas: Float[np.ndarray, " B"],
-    motions: Sequence[Float[np.ndarray, "_ J 3 3"]],
-    sample: Float[np.ndarray, "_ J 3 3"] | None,
-) -> list[Block]:
-    """A block for each joint with hinge channels, of a person: a blend shape a channel, called
-    after the angle where it begins, its coefficient the channel's weight.
-
-    They stand over ``posedirs`` that are `Hinges.without_linear`.
-    """
-    if body.hinges is None:
-        return []
-    person = body.hinges.for_person(betas)
-    blocks = []
-    for joint in np.unique(person.joint):
-        own = np.flatnonzero(person.joint == joint)
-        driven = Drivers(person.rows[own], person.bias[own], np.full(len(own), 2.0))
-        shapes = person.directions[:, :, own, 0]
-        moved = np.flatnonzero(shapes.any((1, 2)))
-        terms, usual = (
-            tuple(driven.weights(features(each, joint)[:, None]) for each in some)
-            for some in (motions, () if sample is None else (sample,))
-        )
-        ends = fold_names(driven.rows, driven.bias)
-        name = body.joint_names[joint]
-        blocks.append(Block(name, moved, shapes[moved], terms, ends, driven, *usual))
-    return blocks
-
-
-def softened(
-    body: BodyModel,
-    motions: Sequence[Float[np.ndarray, "_ J 3 3"]],
-    soft: Sequence[Float[np.ndarray, "_ B"]],
-) -> tuple[Float[np.ndarray, "V 3 n"], tuple[Float[np.ndarray, "_ n"], ...]]:
-    """What soft tissue adds to a shape moves vertices by ``shapedirs`` and by its folds' part that
-    is multiplied with betas: directions, and their coefficients, a motion each.
-    """
-    hinges = body.hinges
-    if hinges is None or not hinges.num_shapes:
-        return body.shapedirs, tuple(soft)
-    driven = Drivers(hinges.rows, hinges.bias, np.full(hinges.num_channels, 2.0))
-    terms = []
-    for rotations, change in zip(motions, soft, strict=True):
-        entries = (rotations[:, hinges.joint] - np.eye(3)).reshape(len(rotations), -1, 9)
-        products = driven.weights(entries)[..., None] * change[:, None, : hinges.num_shapes]
-        terms.append(np.concatenate([change, products.reshape(len(change), -1)], axis=1))
-    directions = hinges.directions[..., 1:].reshape(body.num_vertices, 3, -1)
-    return np.concatenate([body.shapedirs, directions], axis=2), tuple(terms)
-
-
-def fold_names(rows: Float[np.ndarray, "C 9"], bias: Float[np.ndarray, " C"]) -> tuple[str, ...]:
-    """``fold_135`` for each channel of a joint by the angle where it begins, in degrees; ``fold_1``
-    and on where two are alike.
-    """
-    angles = [round(beginning(*each)) for each in zip(rows, bias, strict=True)]
-    alike = len(set(angles)) < len(angles)
-    return tuple(f"fold_{k + 1 if alike else angle}" for k, angle in enumerate(angles))
-
-
-def beginning(row: Float[np.ndarray, " 9"], bias: float) -> float:
-    """The least angle (degrees) by which any rotation makes row . vec(R - I) as large as ``bias``;
-    180 where none does.
-
-    With a unit quaternion q, row . vec(R - I) - bias = q K q, and q_0 is the cosine of half the
-    angle. The most that q_0^2 can be where q K q >= 0 is, by duality, the least of the largest
-    eigenvalues of e_0 e_0^T + x K over x >= 0, which are convex in x.
-    """
-    m = row.reshape(3, 3)
-    k = np.zeros((4, 4))
-    k[0, 1:] = k[1:, 0] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    k[1:, 1:] = m + m.T - 2 * np.trace(m) * np.eye(3)
-    k -= bias * np.eye(4)
-    first = np.diag([1.0, 0, 0, 0])
-    low, high = 0.0, 1e4 / np.abs(k).max()
-    for _ in range(100):
-        a, b = (2 * low + high) / 3, (low + 2 * high) / 3
-        if np.linalg.eigvalsh(first + a * k)[-1] < np.linalg.eigvalsh(first + b * k)[-1]:
-            high = b
-        else:
-            low = a
-    most = np.clip(np.linalg.eigvalsh(first + low * k)[-1], 0.0, 1.0)
-    return float(np.degrees(2 * np.arccos(np.sqrt(most))))

@@ -13,6 +13,7 @@ from habitus import __version__
 from habitus.body.surface_files import (
     GltfBuffer,
     add_picture,
+    glb_bytes,
     gltf_material,
     gltf_primitive,
     unit_float32,
@@ -78,7 +79,7 @@ def write_glb(
 def write_document(document: gl.GLTF2, path: str | os.PathLike[str]) -> None:
     """Write a glTF document in its binary form, atomically."""
     with atomic_write(path) as temporary:
-        temporary.write_bytes(b"".join(document.save_to_bytes()))
+        temporary.write_bytes(glb_bytes(document))
 
 
 def glb_stride(fit: "Moving") -> int:

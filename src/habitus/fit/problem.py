@@ -63,8 +63,9 @@ from habitus.fit.starts import (
 from habitus.fit.verdict import Verdict
 from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.proximity import signed_distance
+from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import marked_body, predict
-from habitus.observe.markers import LatentMarkers, attach
+from habitus.observe.markers import attach
 from habitus.residuals.keypoint_terms import Keypoints
 from habitus.residuals.points import PointSolver, points_term
 from habitus.residuals.shape_stage import pose_prior, shape_prior

@@ -15,7 +15,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -26,19 +26,14 @@ from habitus.export.npz import check_npz_style
 from habitus.files import locked
 from habitus.fit.markers.attempts import iterate_attempts
 from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors, merged
-from habitus.fit.markers.live import LiveFit
 from habitus.fit.markers.recipe import fit_markers, iterate_fits, warm_up
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings
 from habitus.fit.markers.solution import HeldOut
 from habitus.io.captures.read import Capture, read_captures
-from habitus.io.layouts.draft import discovered_layout_text
 from habitus.io.layouts.files import load_placements
-from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.bodies import body_of, loaded, of_sex, with_fingers
 from habitus.jobs.finding import MarkerSet
-from habitus.jobs.label import label
-from habitus.jobs.live_markers import learn_subject
 from habitus.jobs.options import MarkerOptions, MoshOptions, read_age, silent, takes
 from habitus.jobs.results import MarkerResult, capture_folders, save_fit
 from habitus.jobs.subjects import (
@@ -57,6 +52,9 @@ from habitus.parallel.workers import WorkersLike, open_workers
 from habitus.report import write_index
 from habitus.results.save import MARKER_FILES
 from habitus.types import PathLike, Progress
+
+if TYPE_CHECKING:
+    from habitus.fit.markers.live import LiveFit
 
 Source = Capture | PathLike
 
@@ -191,11 +189,7 @@ class Mosh(MoshOptions):
             choice = body_of(body, self, person, self.recipe_settings, progress)
             fits = self._fits(choice.body, person, others, workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
-                layout = (
-                    ""
-                    if person.discovery is None
-                    else discovered_layout_text(person.discovery, capture.name)
-                )
+                layout = _layout_text(person, capture)
                 yield (
                     capture,
                     choice.noted(
@@ -209,13 +203,17 @@ class Mosh(MoshOptions):
                     ),
                 )
 
-    def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
+    def start(self, captures: Source, body: PathLike | BodyModel = "default") -> "LiveFit":
         """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for
         each frame to come.
 
         A few seconds in varied poses are enough. ``step`` takes the markers in the order of this
         capture's labels. Raises HabitusError with one clear line on bad input.
         """
+        from habitus.fit.markers.live import LiveFit
+        from habitus.io.streams.wiring import find_wiring
+        from habitus.jobs.live_markers import learn_subject
+
         read = self.read(captures)
         settings = replace(self.recipe_settings, causal=True, soft_tissue=False)
         known, recording, capture = learn_subject(read, self.body(body), body, self, settings)
@@ -231,6 +229,8 @@ class Mosh(MoshOptions):
     def read(self, source: Source) -> tuple[Capture, ...]:
         """The captures of a file, one a person. Raises HabitusError."""
         if self.label == "auto":
+            from habitus.jobs.label import label
+
             return (label(source, layout=self.layout, fps=self.fps).capture(),)
         if not isinstance(source, Capture):
             return read_captures(source, fps=self.fps)
@@ -276,6 +276,15 @@ class Mosh(MoshOptions):
                 (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
             )
             yield replace(fit, held_out=default, held_out_known_placement=known_placement)
+
+
+def _layout_text(person: Person, capture: Capture) -> str:
+    """The layout that was found by fitting, as a file's text; empty where one was known."""
+    if person.discovery is None:
+        return ""
+    from habitus.io.layouts.draft import discovered_layout_text
+
+    return discovered_layout_text(person.discovery, capture.name)
 
 
 def _listed(sources: Source | Sequence[Source]) -> list[Source]:

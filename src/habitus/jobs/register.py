@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,15 +24,32 @@ from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
 from habitus.jobs.options import RegisterOptions, takes
-from habitus.jobs.results import ScanResult
+from habitus.jobs.results import with_methods
 from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.registrations import Registrations
-from habitus.results.save import SCAN_FILES, result_lock
+from habitus.report.registration import scan_page
+from habitus.results.save import SCAN_FILES, result_lock, save_scan
 from habitus.types import PathLike, Progress
 
 DATASET = "registrations.npz"
 """What `habitus train` reads, beside the folders of the scans."""
 SEXES = ("female", "male")
+
+
+class ScanResult(ScanFit):
+    """A registered scan that can write itself."""
+
+    @classmethod
+    def of(cls, fit: ScanFit) -> Self:
+        """The same scan, with the method."""
+        return with_methods(cls, fit)
+
+    def save(self, folder: PathLike) -> None:
+        """Write body.npz, surface.ply, model.ply, rest.ply, surface.glb, metrics.json, report.html.
+
+        Raises HabitusError where the folder cannot be written.
+        """
+        save_scan(self, folder, scan_page)
 
 
 @takes(RegisterOptions)

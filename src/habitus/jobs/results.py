@@ -7,29 +7,28 @@ page of its recipe (`habitus.report`) in a result folder (`habitus.results`).
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from habitus.body.anatomical_angles import AngleTable
 from habitus.body.motion import BodyMotion, Moving
 from habitus.errors import HabitusError, shown
-from habitus.export.motion import Exported, export_motion
 from habitus.files import replaceable
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.points.scan_result import ScanFit
 from habitus.io.captures.read import Capture
 from habitus.io.names import file_name, one_file
-from habitus.io.people import BodyLike, read_fit, read_motion
-from habitus.jobs.anatomy import angles
 from habitus.report.fit.page import report_page
-from habitus.report.registration import scan_page
-from habitus.results.save import save_markers, save_scan
+from habitus.results.save import save_markers
 from habitus.types import PathLike
+
+if TYPE_CHECKING:
+    from habitus.body.anatomical_angles import AngleTable
+    from habitus.export.motion import Exported
+    from habitus.io.people import BodyLike
 
 
 class Exportable(Moving):
     """A motion with a method that writes it."""
 
-    def export(self, path: PathLike, **options: Any) -> Exported:
+    def export(self, path: PathLike, **options: Any) -> "Exported":
         """Write the motion as the format that the path's ending names.
 
         Formats: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz, .obj, .ply; without an ending a
@@ -37,12 +36,16 @@ class Exportable(Moving):
         (`habitus.export.motion.export_motion`). Raises HabitusError for other endings, and where
         the path cannot be written.
         """
+        from habitus.export.motion import export_motion
+
         return export_motion(self, path, **options)
 
-    def angles(self, convention: str = "isb") -> AngleTable:
+    def angles(self, convention: str = "isb") -> "AngleTable":
         """Joint angles (degrees) by "isb", "pig" (Plug-in Gait) or "opensim"
         (`habitus.jobs.anatomy.angles`, docs/for-laboratories.md). Raises HabitusError.
         """
+        from habitus.jobs.anatomy import angles
+
         return angles(self, convention)
 
 
@@ -61,22 +64,6 @@ class MarkerResult(Exportable, MarkerFit):
         (docs/amass.md). Raises HabitusError where the folder cannot be written.
         """
         save_fit(self, folder, npz_style=npz_style)
-
-
-class ScanResult(ScanFit):
-    """A registered scan that can write itself."""
-
-    @classmethod
-    def of(cls, fit: ScanFit) -> Self:
-        """The same scan, with the method."""
-        return with_methods(cls, fit)
-
-    def save(self, folder: PathLike) -> None:
-        """Write body.npz, surface.ply, model.ply, rest.ply, surface.glb, metrics.json, report.html.
-
-        Raises HabitusError where the folder cannot be written.
-        """
-        save_scan(self, folder, scan_page)
 
 
 class Motion(Exportable, BodyMotion):
@@ -99,7 +86,7 @@ def with_methods(kind: type[Any], data: object) -> Any:
     return out
 
 
-def load_fit(path: str | os.PathLike[str], body: BodyLike = None) -> MarkerResult:
+def load_fit(path: str | os.PathLike[str], body: "BodyLike" = None) -> MarkerResult:
     """The marker fit in a body.npz, or in a result folder, that ``habitus mosh`` or ``fit.save``
     wrote.
 
@@ -108,10 +95,12 @@ def load_fit(path: str | os.PathLike[str], body: BodyLike = None) -> MarkerResul
     which metrics.json beside it has. Observed and predicted markers are kept in float32. Raises
     HabitusError, with the file named, where it holds no such fit or the body is another.
     """
+    from habitus.io.people import read_fit
+
     return MarkerResult.of(read_fit(path, body))
 
 
-def load_motion(path: str | os.PathLike[str], body: BodyLike = None) -> Motion:
+def load_motion(path: str | os.PathLike[str], body: "BodyLike" = None) -> Motion:
     """The motion in an npz of ``habitus mosh``, ``exaggerate`` or ``retarget``, or of AMASS.
 
     AMASS: ``poses`` (T, 3J; rad), ``trans`` (T, 3; m), ``betas``, ``mocap_framerate`` (Hz), z up.
@@ -119,6 +108,8 @@ def load_motion(path: str | os.PathLike[str], body: BodyLike = None) -> Motion:
     the shipped bodies. Raises HabitusError, with the file named, where it holds no motion, or where
     the betas belong to another body.
     """
+    from habitus.io.people import read_motion
+
     return Motion.of(read_motion(path, body))
 
 

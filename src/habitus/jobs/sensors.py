@@ -42,8 +42,8 @@ from habitus.jobs.bodies import loaded
 from habitus.jobs.cameras import CameraResult, fit_cameras, read_cameras
 from habitus.jobs.mosh import Mosh
 from habitus.jobs.options import CameraOptions
-from habitus.jobs.register import register_scans
-from habitus.jobs.results import MarkerResult, ScanResult
+from habitus.jobs.register import ScanResult, register_scans
+from habitus.jobs.results import MarkerResult
 from habitus.jobs.subjects import LayoutChoice, subject_of
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.camera_rig import CameraRig

@@ -5,14 +5,13 @@ discovered by fitting.
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
 from habitus.errors import HabitusError, listed
-from habitus.fit.discover.recipe import discover
-from habitus.fit.discover.result import Discovery
 from habitus.fit.markers.hold_out import HeldMarkers
 from habitus.fit.markers.recipe import Recording
 from habitus.fit.markers.recordings import check_recordings
@@ -24,6 +23,9 @@ from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
 from habitus.markers.matching import LayoutMatch, interpreted
 from habitus.parallel.blocks import mapped
 from habitus.types import PathLike, Progress
+
+if TYPE_CHECKING:
+    from habitus.fit.discover.result import Discovery
 
 LayoutChoice = PathLike | MarkerLayout | Sequence[MarkerLayout]
 """A layout that is asked for: "auto", "discover", a shipped name, a file, the layout itself, or
@@ -46,7 +48,7 @@ class Person:
     recordings: tuple[Recording, ...]
     fingers: bool = False
     left_fingers: tuple[str, ...] = ()
-    discovery: Discovery | None = None
+    discovery: "Discovery | None" = None
 
 
 def gather(
@@ -412,12 +414,14 @@ def check_layout(
 
 def discovered(
     captures: Sequence[Capture], body: BodyModel | None, progress: Progress
-) -> Discovery:
+) -> "Discovery":
     """The layout of all captures of a person together; labels that known layouts understand as a
     set help.
 
     Raises HabitusError, naming the captures, where there are too few labels.
     """
+    from habitus.fit.discover.recipe import discover
+
     assert body is not None
     labels = tuple(dict.fromkeys(label for capture in captures for label in capture.labels))
     markers = np.concatenate([_some_frames(capture, labels) for capture in captures])

@@ -3,8 +3,9 @@ when first called.
 """
 
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -139,8 +140,16 @@ def jit_inline(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _stamp(own: Path) -> tuple:
-    files = [HERE / name for name in FILES]
-    if HERE not in own.parents:
-        files += sorted(own.parent.glob("*_kernels.py"))
+    files = () if HERE in own.parents else sorted(own.parent.glob("*_kernels.py"))
+    return _own_stamp() + _stamp_of(files)
+
+
+@cache
+def _own_stamp() -> tuple:
+    """Of `FILES`, looked at once a process: some forty kernels ask."""
+    return _stamp_of([HERE / name for name in FILES])
+
+
+def _stamp_of(files: Iterable[Path]) -> tuple:
     stats = (path.stat() for path in files if path.exists())
     return tuple((entry.st_mtime_ns, entry.st_size) for entry in stats)

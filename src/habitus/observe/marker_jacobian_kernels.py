@@ -5,8 +5,8 @@ Columns are kept for a marker's slots only (`habitus.observe.marker_rig`). A tri
 rigidly about joint j needs no corners: dx = m x (x - p_j) for each column m of M_j.
 """
 
-from habitus.kernels.jit import jit_inline
-from habitus.kernels.simd import load, spread
+from habitus.kernels.jit import jit_inline, jit_noalloc
+from habitus.kernels.simd import LANES, load, spread
 from habitus.kernels.simd_linalg import (
     add3,
     along3,
@@ -22,7 +22,36 @@ from habitus.kernels.simd_linalg import (
     turn3,
     turn_back3,
 )
-from habitus.observe.marker_kernels import fold_change, marker_frame
+from habitus.observe.marker_kernels import fold_change, marker_frame, place_markers
+
+
+@jit_noalloc
+def marker_columns(rig, slots, offsets, workspace, states, corners, columns):
+    """Corners (T, U, 3) of states (T, N), and how markers move with pose and betas, coefficients
+    held, into ``columns`` (T, M, 3, N), of which only what is not zero is written; nor are those of
+    trans, which are the identity.
+    """
+    for first in range(0, len(states), LANES):
+        for k in range(LANES):
+            t = min(first + k, len(states) - 1)
+            for n in range(states.shape[1]):
+                workspace[offsets.state + n, k] = states[t, n]
+        place_markers(rig, offsets, workspace, offsets.state)
+        write_shape_jacobian(rig, offsets, workspace)
+        write_hinge_turns(rig, offsets, workspace)
+        for i in range(len(rig.triangles)):
+            write_columns(rig, slots, offsets, workspace, i, spread(1.0))
+        for k in range(min(LANES, len(states) - first)):
+            for u in range(len(rig.rest_corners)):
+                for c in range(3):
+                    corners[first + k, u, c] = workspace[offsets.corner + 3 * u + c, k]
+            for i in range(len(rig.triangles)):
+                for s in range(slots.start[i], slots.start[i + 1]):
+                    n = 3 * slots.block[s]
+                    for c in range(3):
+                        for d in range(3):
+                            value = workspace[offsets.columns + 9 * s + 3 * c + d, k]
+                            columns[first + k, i, c, n + d] = value
 
 
 @jit_inline

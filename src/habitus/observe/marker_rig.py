@@ -86,13 +86,9 @@ def marker_rig(
     _check(body, betas, corners)
     shape = to_numpy(betas, np.float64)
     directions = to_numpy(body.shapedirs, np.float64)[:, :, : len(betas)]
-    regressor = to_numpy(body.joint_regressor, np.float64)
-    template = to_numpy(body.v_template, np.float64)
-    joints = regressor @ template
-    joint_directions = (regressor @ directions.reshape(len(directions), -1)).reshape(
-        len(joints), 3, -1
-    )
-    rest = template[corners]
+    joints = body.joint_template
+    joint_directions = body.joint_shapedirs[:, :, : len(betas)]
+    rest = to_numpy(body.v_template, np.float64)[corners]
     corner_directions = np.ascontiguousarray(directions[corners])
     influences, weights = _trim(
         to_numpy(body.skinning_index[corners], np.int64),

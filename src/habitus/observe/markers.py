@@ -8,8 +8,7 @@ normal, s = n x t:
 `predict_markers` is the reference, in NumPy or in torch, which autodiff can differentiate;
 `habitus.observe.marker_prediction` computes the same fast. `marker_jacobian` carries the body's
 surface Jacobian through the triangles' bases: for any body, whatever its skinning and pose blend
-shapes, and for a few frames at once (memory: 9 M (3 J + B) numbers a frame). `LatentMarkers` are
-markers as a function of their positions on a body whose shape is still unknown.
+shapes, and for a few frames at once (memory: 9 M (3 J + B) numbers a frame).
 """
 
 from dataclasses import dataclass
@@ -177,7 +176,7 @@ def predict_on_body(
 ) -> Float[np.ndarray, "F M 3"]:
     """Markers of F frames; betas are (B,) or one shape a frame (F, B)."""
     corners = posed_corners(body, attachment.triangles, betas, pose, trans, dynamics)
-    return predict_markers(corners, _in_turn(attachment))
+    return predict_markers(corners, in_turn(attachment))
 
 
 def marker_jacobian(
@@ -192,7 +191,7 @@ def marker_jacobian(
     corners, by_betas, by_pose = _corner_jacobian(
         body, attachment.triangles, betas, pose, trans, dynamics
     )
-    attachment = _in_turn(attachment)
+    attachment = in_turn(attachment)
     change = corner_weights(corners, attachment)
     return MarkerJacobian(
         predict_markers(corners, attachment),
@@ -272,68 +271,7 @@ def _corner_jacobian(
     )
 
 
-def _in_turn(attachment: MarkerAttachment) -> MarkerAttachment:
+def in_turn(attachment: MarkerAttachment) -> MarkerAttachment:
     """The same with corners numbered as `posed_corners` gives them."""
     order = np.arange(3 * attachment.num_markers).reshape(-1, 3)
     return MarkerAttachment(order, attachment.coefficients)
-
-
-class LatentJacobian(NamedTuple):
-    """Markers (m) and their derivatives; latent markers, not coefficients, are held. N = 3 J, per
-    rad.
-    """
-
-    markers: Float[np.ndarray, "F M 3"]
-    by_betas: Float[np.ndarray, "F M 3 B"]
-    by_latent: Float[np.ndarray, "F M 3 3"]
-    by_pose: Float[np.ndarray, "F M 3 N"]
-
-
-class LatentMarkers:
-    """M markers on given triangles (vertex ids): ``markers(betas, latent_markers, pose, trans)``
-    are (F, M, 3).
-    """
-
-    def __init__(self, body: BodyModel, triangles: Int[np.ndarray, "M 3"]) -> None:
-        corners = triangles.ravel()
-        self.body = body
-        self.triangles = triangles
-        self._template, self._shapedirs = (
-            np.asarray(each[corners]) for each in (body.v_template, body.shapedirs)
-        )
-        self._order = np.arange(len(corners)).reshape(-1, 3)
-
-    def __call__(
-        self,
-        betas: Float[np.ndarray, " B"],
-        latent_markers: Float[np.ndarray, "M 3"],
-        pose: Float[np.ndarray, "F J 3"],
-        trans: Float[np.ndarray, "F 3"],
-    ) -> Float[np.ndarray, "F M 3"]:
-        """The markers in F poses (rad) and places, metres."""
-        return predict_on_body(
-            self.body, self._at_rest(betas, latent_markers)[1], betas, pose, trans
-        )
-
-    def jacobian(self, betas, latent_markers, pose, trans) -> LatentJacobian:
-        """The same with derivatives.
-
-        With x = a + R c and c = R0ᵀ (m - a0): dx/dm = R R0ᵀ and dx/dbetas = ∂x/∂betas|c - R R0ᵀ
-        ∂m/∂betas|c.
-        """
-        rest, attachment = self._at_rest(betas, latent_markers)
-        posed = marker_jacobian(self.body, attachment, betas, pose, trans)
-        own = MarkerAttachment(self._order, attachment.coefficients)
-        by_latent = posed.bases @ np.swapaxes(triangle_bases(rest, self._order).basis, -1, -2)
-        rest_by_betas = carry(corner_weights(rest, own), self._shapedirs)
-        return LatentJacobian(
-            posed.markers, posed.by_betas - by_latent @ rest_by_betas, by_latent, posed.by_pose
-        )
-
-    def _at_rest(
-        self, betas: np.ndarray, latent: np.ndarray
-    ) -> tuple[np.ndarray, MarkerAttachment]:
-        """Corners (3 M, 3) in the rest pose, and the markers attached."""
-        corners = self._template + self._shapedirs @ betas
-        coefficients = attach(latent, corners, None, triangles=self._order).coefficients
-        return corners, MarkerAttachment(self.triangles, coefficients)

@@ -11,7 +11,8 @@ from scipy.sparse import bsr_array
 
 from habitus.body.model import BodyModel
 from habitus.mesh.proximity import signed_distance
-from habitus.observe.markers import LatentMarkers, default_markers
+from habitus.observe.latent_markers import LatentMarkers
+from habitus.observe.markers import default_markers
 from habitus.solve.terms import Term
 
 

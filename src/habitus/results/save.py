@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -33,10 +33,12 @@ from habitus.files import locked, whole_folder, write_text
 from habitus.fit.markers.result import MarkerFit, betas_covariance
 from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
-from habitus.fit.points.scan_result import ScanFit
 from habitus.kernels.threads import one_blas_thread
 from habitus.parallel.blocks import blocks, columns, drop_pages, is_large
 from habitus.types import PathLike
+
+if TYPE_CHECKING:
+    from habitus.fit.points.scan_result import ScanFit
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 
@@ -213,7 +215,7 @@ def _rate(frames: int, seconds: float | None) -> float | None:
     return frames / seconds if seconds else None
 
 
-def scan_metrics(fit: ScanFit) -> dict[str, Any]:
+def scan_metrics(fit: "ScanFit") -> dict[str, Any]:
     """The numbers of a registered scan, as metrics.json holds them; lengths of errors in mm."""
     return {
         "scan": fit.scan_name,
@@ -278,7 +280,7 @@ MAX_ALBEDO_PERCENTILE = 99.5
 Numbers = Mapping[str, Any]
 MarkerPage = Callable[[MarkerFit, Numbers, Sequence[str]], str]
 """The report of a fit, its numbers, and the names of the files beside it."""
-ScanPage = Callable[[ScanFit, Numbers], str]
+ScanPage = Callable[["ScanFit", Numbers], str]
 
 
 @contextmanager
@@ -334,7 +336,7 @@ def save_markers(
     return fit
 
 
-def save_scan(fit: ScanFit, folder: PathLike, page: ScanPage | None = None) -> None:
+def save_scan(fit: "ScanFit", folder: PathLike, page: ScanPage | None = None) -> None:
     """Write body.npz, surface.ply and .glb, model.ply, rest.ply, metrics.json and report.html.
 
     body.npz has AMASS's names for the model's state (one frame), ``vertices``, ``vertex_weights``
@@ -365,7 +367,7 @@ class _Vertices:
     vertices: Float[np.ndarray, "V 3"]
 
 
-def _scan_arrays(fit: ScanFit) -> dict[str, np.ndarray]:
+def _scan_arrays(fit: "ScanFit") -> dict[str, np.ndarray]:
     """One frame: at 1 Hz, in the body's axes."""
     gender = fit.body_name if fit.body_name in ("female", "male") else "neutral"
     motion = BodyMotion(
@@ -386,7 +388,7 @@ def _scan_arrays(fit: ScanFit) -> dict[str, np.ndarray]:
     }
 
 
-def _write_scan_glb(fit: ScanFit, path: Path) -> None:
+def _write_scan_glb(fit: "ScanFit", path: Path) -> None:
     """The surface; where colours were used, subdivided to the resolution of the albedo."""
     if fit.colours is None:
         write_surface(_Vertices(fit.vertices), path, fit.body.faces)

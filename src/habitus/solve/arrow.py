@@ -102,22 +102,16 @@ class ArrowMatrix:
         rest = right[size:].reshape(-1, width)
         schur = self.shared + np.diag(damping[:size])
         added = damping[size:].reshape(-1, width)
-        eliminated = []
-        for border, block, extra, part in zip(self.border, self.blocks, added, rest, strict=True):
-            factor = scipy.linalg.cholesky(block + np.diag(extra), lower=True, check_finite=False)
-            half = scipy.linalg.solve_triangular(
-                factor, np.column_stack([border, part]), lower=True, check_finite=False
-            )
-            schur -= half[:, :size].T @ half[:, :size]
-            top = top - half[:, :size].T @ half[:, size]
-            eliminated.append((factor, half))
+        blocks = self.blocks.copy()
+        np.einsum("fnn->fn", blocks)[...] += added
+        np.linalg.cholesky(blocks)  # raises where one is not positive definite
+        solved = np.linalg.solve(blocks, np.concatenate([self.border, rest[..., None]], axis=2))
+        across = self.border.reshape(rest.size, size).T
+        flat = solved.reshape(rest.size, size + 1)
         head = scipy.linalg.cho_solve(
-            scipy.linalg.cho_factor(schur, lower=True, check_finite=False), top
+            scipy.linalg.cho_factor(
+                schur - across @ flat[:, :size], lower=True, check_finite=False
+            ),
+            top - across @ flat[:, size],
         )
-        tails = [
-            scipy.linalg.solve_triangular(
-                factor, half[:, size] - half[:, :size] @ head, lower=True, trans=1
-            )
-            for factor, half in eliminated
-        ]
-        return self._unsorted(np.concatenate([head, *tails]))
+        return self._unsorted(np.concatenate([head, flat[:, size] - flat[:, :size] @ head]))

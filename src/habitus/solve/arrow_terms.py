@@ -123,11 +123,13 @@ def _normal_equations(
         for name, block in jacobian.items():
             gradient[objective.unknowns.columns[name]] += term.weight * times(block, residual)
         common = {name: block for name, block in jacobian.items() if name in layout.shared}
-        for name, block in common.items():
-            for other, second in common.items():
-                product = term.weight * (block.T @ second)
-                dense = product.toarray() if scipy.sparse.issparse(product) else product
+        names = list(common)
+        for k, name in enumerate(names):
+            for other in names[k:]:
+                dense = term.weight * _product(common[name], common[other])
                 shared[layout.shared[name], layout.shared[other]] += dense
+                if other != name:
+                    shared[layout.shared[other], layout.shared[name]] += dense.T
         own = {name: block for name, block in jacobian.items() if name in layout.blocked}
         if own:
             table, split = _by_block(term.name, own, layout)
@@ -207,6 +209,33 @@ def _on_diagonal(block: Any, count: int) -> bool:
     )
 
 
+def _product(first: Any, second: Any) -> Float[np.ndarray, "g h"]:
+    """first^T second, dense."""
+    parts = _one_a_row(second)
+    if parts is not None and not scipy.sparse.issparse(first):
+        data, column = parts
+        count, rows, width = data.shape
+        products = first.reshape(count, rows, -1).transpose(0, 2, 1) @ data
+        member = (np.arange(second.shape[1] // width)[:, None] == column).astype(float)
+        added = (member @ products.reshape(count, -1)).reshape(-1, *products.shape[1:])
+        return added.transpose(1, 0, 2).reshape(first.shape[1], -1)
+    product = first.T @ second
+    return product.toarray() if scipy.sparse.issparse(product) else product
+
+
+def _one_a_row(
+    block: Any,
+) -> tuple[Float[np.ndarray, "K r c"], Int[np.ndarray, " K"]] | None:
+    """Blocks and block columns of a bsr_array with one block in each row of blocks; else None.
+
+    Products of these are a few dense ones: scipy.sparse takes ten times as long to look at them.
+    """
+    if not scipy.sparse.issparse(block) or block.format != "bsr":
+        return None
+    single = np.array_equal(block.indptr, np.arange(len(block.indptr)))
+    return (block.data, block.indices) if single else None
+
+
 def _meeting(
     table: Float[np.ndarray, "F R N"], block: Any, split: bool
 ) -> Float[np.ndarray, "F N g"]:
@@ -214,6 +243,17 @@ def _meeting(
     count, rows, _ = table.shape
     if not scipy.sparse.issparse(block):
         return table.transpose(0, 2, 1) @ (block.reshape(count, rows, -1) if split else block)
+    parts = _one_a_row(block)
+    if split and parts is not None and rows % parts[0].shape[1] == 0:
+        data, column = parts[0], parts[1].reshape(count, -1)
+        _, height, width = data.shape
+        if np.all(np.diff(np.sort(column, axis=1), axis=1) > 0):  # no column twice in one of ours
+            own = table.reshape(count, -1, height, table.shape[2]).transpose(0, 1, 3, 2)
+            met = np.zeros((count, block.shape[1] // width, table.shape[2], width))
+            met[np.arange(count)[:, None], column] = own @ data.reshape(
+                *column.shape, height, width
+            )
+            return met.transpose(0, 2, 1, 3).reshape(count, table.shape[2], -1)
     transposed = block.T.tocsc()
     ends = [slice(k * rows, (k + 1) * rows) if split else slice(None) for k in range(count)]
     return np.stack(

@@ -9,8 +9,10 @@ numbers out in the vector x that solvers move.
 """
 
 import inspect
+import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -78,7 +80,7 @@ class Unknowns:
         """What terms may take, fixed values included."""
         return (*self.start, *self.fixed)
 
-    @property
+    @cached_property
     def columns(self) -> dict[str, slice]:
         """Where each free value's numbers lie in x."""
         ends = np.cumsum([_num_values(value) for value in self.start.values()]).tolist()
@@ -195,7 +197,7 @@ def _copied(name: str, value: Any) -> Any:
 
 
 def _num_values(value: Any) -> int:
-    return int(np.prod(np.shape(value), dtype=int))
+    return math.prod(np.shape(value))
 
 
 def as_numpy(value: Any) -> np.ndarray:

@@ -15,8 +15,9 @@ from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, ShapeWeights
 from habitus.fit.markers.shape import shape_stage
 from habitus.io.models.bodies import load_body
+from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import marked_body, predict
-from habitus.observe.markers import LatentMarkers, attach, default_markers
+from habitus.observe.markers import attach, default_markers
 from habitus.solve.sequence import SequenceOptions
 
 FRAMES = 5

@@ -12,7 +12,6 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -39,7 +38,6 @@ from habitus.mesh.proximity import farthest_points
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
 from habitus.observe.keypoints import KeypointRig, ShapedKeypoints
-from habitus.residuals.keypoint_kernels import KeypointData
 from habitus.rotations import procrustes, rotvec_from_matrix, up_rotation
 
 Progress = Callable[[str, float], None]
@@ -48,7 +46,6 @@ MIN_KEYPOINTS = 6
 MAX_FLOOR_ERROR = 0.15
 """Metres of feet that stand from their places on the floor."""
 OnFloor = tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]] | tuple[None, None]
-NO_FLOOR: OnFloor = (None, None)
 TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 
 
@@ -76,49 +73,10 @@ def fit_cameras(
     fits = []
     for k, track in enumerate(found):
         progress("person", (k + 0.1) / len(found))
-        problem = PersonProblem(
-            body, prior, detections, track, rig, settings, known, correct, k, len(found)
+        fits.append(
+            fit_person(body, prior, detections, track, rig, settings, known, correct, k, len(found))
         )
-        fits.append(fit_person(problem))
     return fits
-
-
-@dataclass(frozen=True, eq=False)
-class PersonProblem:
-    """The fit of person ``number`` of ``total``; other fields are the arguments of
-    `fit_cameras`.
-    """
-
-    body: BodyModel
-    prior: PosePrior
-    detections: Detections
-    track: Track
-    rig: CameraRig
-    settings: CameraSettings
-    known: Known = NOTHING
-    correct: bool = True
-    number: int = 0
-    total: int = 1
-
-    @cached_property
-    def keypoints(self) -> KeypointRig:
-        """The detector's keypoints on the body's bones."""
-        return KeypointRig.of(self.body, self.detections.names, self.detections.convention)
-
-    @cached_property
-    def pose_prior(self) -> PosePrior:
-        """The prior over the body's joints."""
-        return self.prior.for_joints(self.body.joint_names)
-
-    @property
-    def one_camera(self) -> bool:
-        """Whether there is a single camera."""
-        return len(self.rig.cameras) == 1
-
-    @property
-    def rate_hz(self) -> float:
-        """Frames a second of the detections."""
-        return self.detections.rate_hz
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,237 +92,212 @@ class Start:
     first_frame: int
 
 
-def fit_person(problem: PersonProblem) -> CameraFit:
-    """One person's shape and motion. Raises HabitusError where too few frames show the person."""
+def fit_person(
+    body: BodyModel,
+    prior: PosePrior,
+    detections: Detections,
+    track: Track,
+    rig: CameraRig,
+    settings: CameraSettings,
+    known: Known,
+    correct: bool,
+    number: int,
+    total: int,
+) -> CameraFit:
+    """One person's shape and motion: person ``number`` of ``total``; other arguments as of
+    `fit_cameras`.
+    """
     began = time.perf_counter()
-    settings, keypoints, rate = problem.settings, problem.keypoints, problem.rate_hz
-    start = start_of_one_camera(problem) if problem.one_camera else start_of_several(problem)
-    up = upright(start.points, keypoints, problem.known.up)
+    keypoints = KeypointRig.of(body, detections.names, detections.convention)
+    alone = len(rig.cameras) == 1
+    correct = correct and not alone
+    begin = start_alone if alone else start_person
+    start = begin(body, prior, detections, track, rig, keypoints, settings, known)
+    up = upright(start.points, keypoints, known.up)
     sight, pose, trans = start.sight, start.pose, start.trans
-    shape = mean_shape(problem, pose, trans)
-    status, floor = "", NO_FLOOR
-    free = was_free = False
+    given = prior.for_joints(body.joint_names)
+    none = np.zeros((len(keypoints.names), 3)), np.zeros((len(rig.cameras), 6))
+    shape = CameraShape(np.zeros(body.num_betas), none[0], rig, none[1], pose, trans, "", {})
+    status = ""
+    free, was_free, rate = False, False, detections.rate_hz
     for k in range(settings.rounds):
-        shape = shape_round(problem, start, sight, replace(shape, pose=pose, trans=trans), k, free)
-        person = shape_of(problem, shape)
-        floor = on_floor(problem, sight, person, up, shape.rig)
-        data = pose_data(problem, sight, person, shape.rig, floor)
+        late = shifted(sight, detections.rate_hz)
+        rows = unlike_frames(start.points, sight, settings.frames)
+        wide = settings.noise * settings.camera_noise
+        data = ShapeData(rig, late[rows], information(sight, keypoints, wide)[rows])
+        here = replace(shape, pose=pose[rows], trans=trans[rows])
+        reaches = settings.reaches if k == 0 else settings.reaches[1:]
+        shape = shape_stage(
+            body, prior, keypoints, data, here, settings, reaches, known.height, free
+        )
+        person = keypoints.shaped(shape.betas, shape.offsets)
+        floor = on_floor(late, sight, shape.rig, keypoints, person, known, up, rate)
+        every = keypoint_data(
+            person,
+            shape.rig,
+            late,
+            information(sight, keypoints, settings.noise),
+            given.mean,
+            settings.pose * given.precision,
+            settings.reach,
+            *floor,
+        )
         warm = 0 < k < settings.rounds - 1 and free == was_free  # slow waves want coarse levels
-        pose, trans, solution = solve_poses(data, pose, trans, rate, settings, warm)
+        pose, trans, solution = solve_poses(every, pose, trans, rate, settings, warm)
         status, was_free = solution.status, free
         if k + 1 < settings.rounds:
             expected = shape.rig.project(person.points(pose, trans)).transpose(1, 0, 2, 3)
-            correct = problem.correct and not problem.one_camera
             sight, biased = reviewed(sight, expected, keypoints, rate, settings, free, correct)
             free = free or biased
-    shape = replace(shape, pose=pose, trans=trans)
-    fit = camera_fit(problem, start, sight, shape, up, status, time.perf_counter() - began)
+    fit = CameraFit.solved(
+        body=body,
+        shape=shape,
+        keypoints=keypoints,
+        pose=pose,
+        trans=trans,
+        rate_hz=detections.rate_hz,
+        first_frame=start.first_frame,
+        sight=sight,
+        pixels=shifted(sight, detections.rate_hz),
+        points=start.points,
+        given_rig=rig,
+        detections=detections,
+        up_axis=up,
+        height=known.height,
+        status=status,
+        number=number,
+        total=total,
+        seconds=time.perf_counter() - began,
+    )
     if floor[0] is None:
         return fit
     return replace(fit, warnings=(*fit.warnings, *floor_notes(fit.keypoints, floor[0])))
 
 
-def mean_shape(
-    problem: PersonProblem, pose: Float[np.ndarray, "T J 3"], trans: Float[np.ndarray, "T 3"]
-) -> CameraShape:
-    """Of the mean person, with keypoints and cameras as given."""
-    offsets = np.zeros((len(problem.keypoints.names), 3))
-    corrections = np.zeros((len(problem.rig.cameras), 6))
-    betas = np.zeros(problem.body.num_betas)
-    return CameraShape(betas, offsets, problem.rig, corrections, pose, trans, "", {})
-
-
-def shape_of(problem: PersonProblem, shape: CameraShape) -> ShapedKeypoints:
-    """Keypoints on a person's bones."""
-    return problem.keypoints.shaped(shape.betas, shape.offsets)
-
-
-def shape_round(
-    problem: PersonProblem,
-    start: Start,
-    sight: Sight,
-    shape: CameraShape,
-    number: int,
-    free: bool,
-) -> CameraShape:
-    """Round ``number`` of the shape stage, on frames unlike each other; free: with corrections of
-    the cameras.
-    """
-    settings = problem.settings
-    rows = unlike_frames(start.points, sight, settings.frames)
-    wide = settings.noise * settings.camera_noise
-    known = information(sight, problem.keypoints, wide)[rows]
-    data = ShapeData(problem.rig, shifted(sight, problem.rate_hz)[rows], known)
-    here = replace(shape, pose=shape.pose[rows], trans=shape.trans[rows])
-    reaches = settings.reaches if number == 0 else settings.reaches[1:]
-    return shape_stage(
-        problem.body,
-        problem.prior,
-        problem.keypoints,
-        data,
-        here,
-        settings,
-        reaches,
-        problem.known.height,
-        free,
-    )
-
-
-def pose_data(
-    problem: PersonProblem,
-    sight: Sight,
-    person: ShapedKeypoints,
+def start_person(
+    body: BodyModel,
+    prior: PosePrior,
+    detections: Detections,
+    track: Track,
     rig: CameraRig,
-    floor: OnFloor,
-) -> KeypointData:
-    """The pose stage's energy by pixels."""
-    settings, prior = problem.settings, problem.pose_prior
-    return keypoint_data(
-        person,
-        rig,
-        shifted(sight, problem.rate_hz),
-        information(sight, problem.keypoints, settings.noise),
-        prior.mean,
-        settings.pose * prior.precision,
-        settings.reach,
-        *floor,
-    )
-
-
-def camera_fit(
-    problem: PersonProblem,
-    start: Start,
-    sight: Sight,
-    shape: CameraShape,
-    up: str,
-    status: str,
-    seconds: float,
-) -> CameraFit:
-    """The result, from the last round's estimates."""
-    detections = problem.detections
-    count = len(problem.rig.cameras)
-    name = detections.name
-    return CameraFit(
-        body=problem.body,
-        betas=shape.betas,
-        pose=shape.pose,
-        trans=shape.trans,
-        rate_hz=problem.rate_hz,
-        up_axis=up,
-        capture_name=name if problem.total == 1 else f"{name}-{problem.number + 1}",
-        body_name=problem.body.name,
-        made=(f"fitted to {detections.convention} of {count} camera{'s' * (count > 1)}",),
-        keypoint_names=problem.keypoints.names,
-        convention=detections.convention,
-        cameras=shape.rig,
-        given_cameras=problem.rig,
-        corrections=shape.corrections,
-        late=sight.late,
-        observed=shifted(sight, problem.rate_hz),
-        confidence=sight.confidence,
-        size_px=sight.size,
-        exchanged=sight.exchanged,
-        keypoint_places=shape.offsets,
-        triangulated=start.points,
-        given_height=problem.known.height,
-        first_frame=start.first_frame,
-        first_number=detections.first_number + start.first_frame,
-        status=status,
-        costs=dict(shape.costs),
-        stage_seconds={"fit": seconds},
-        warnings=(*detections.notes, *problem.rig.notes),
-    )
-
-
-def start_of_several(problem: PersonProblem) -> Start:
-    """Of several cameras: poses of the mean shape by triangulated keypoints, over the frames in
-    which shoulders and hips are known. Raises HabitusError where they are known in too few.
+    keypoints: KeypointRig,
+    settings: CameraSettings,
+    known: Known = NOTHING,
+) -> Start:
+    """Poses of the mean shape by triangulated keypoints, over the frames in which shoulders and
+    hips are known. Raises HabitusError where they are known in too few.
     """
-    settings, keypoints, prior = problem.settings, problem.keypoints, problem.pose_prior
-    sight, points = first_sight(problem.track, problem.rig, settings)
+    sight, points = first_sight(track, rig, settings)
     found = np.flatnonzero(trunk_seen(points, keypoints.names))
     if len(found) < min(5, len(points)):
         raise HabitusError(
-            f"{problem.detections.name}: shoulders and hips meet in space in {len(found)} of "
-            f"{len(points)} frames; check that cameras and detections have the same names and "
-            "frames"
+            f"{detections.name}: shoulders and hips meet in space in {len(found)} of {len(points)} "
+            "frames; check that cameras and detections have the same names and frames"
         )
     kept = slice(int(found[0]), int(found[-1]) + 1)
     sight, points = of_frames(sight, kept), points[kept]
-    person = keypoints.shaped(np.zeros(problem.body.num_betas), np.zeros((points.shape[1], 3)))
-    pose, trans = placed(points, keypoints, person, prior.mean)
-    reach, error = settings.triangulation.reach, settings.triangulation.max_point_error
-    weights = np.full(points.shape[:2], 1.0 / error**2)
+    given = prior.for_joints(body.joint_names)
+    person = keypoints.shaped(np.zeros(body.num_betas), np.zeros((len(keypoints.names), 3)))
+    pose, trans = placed(points, keypoints, person, given.mean)
+    triangulation = settings.triangulation
+    weights = np.full(points.shape[:2], 1.0 / triangulation.max_point_error**2)
     rough = keypoint_data(
-        person, None, None, None, prior.mean, prior.precision, reach, points, weights
+        person,
+        None,
+        None,
+        None,
+        given.mean,
+        given.precision,
+        triangulation.reach,
+        points,
+        weights,
     )
-    pose, trans, _ = solve_poses(rough, pose, trans, problem.rate_hz, settings)
+    pose, trans, _ = solve_poses(rough, pose, trans, detections.rate_hz, settings)
     return Start(sight, points, pose, trans, kept.start)
 
 
-def start_of_one_camera(problem: PersonProblem) -> Start:
-    """Of one camera: the mean pose placed by its pixels, then poses by them with a falling reach.
+def start_alone(
+    body: BodyModel,
+    prior: PosePrior,
+    detections: Detections,
+    track: Track,
+    rig: CameraRig,
+    keypoints: KeypointRig,
+    settings: CameraSettings,
+    known: Known = NOTHING,
+) -> Start:
+    """Of one camera: the mean pose put by its pixels, then poses by them with a falling reach.
     Raises HabitusError where too few frames show the person.
     """
-    settings, keypoints, prior = problem.settings, problem.keypoints, problem.pose_prior
-    track, height, camera = problem.track, problem.known.height, problem.rig.cameras[0]
     enough = np.flatnonzero((track.confidence[:, 0] > 0.0).sum(1) >= MIN_KEYPOINTS)
     if len(enough) < min(5, len(track.pixels)):
         raise HabitusError(
-            f"{problem.detections.name}: {len(enough)} of {len(track.pixels)} frames show "
+            f"{detections.name}: {len(enough)} of {len(track.pixels)} frames show "
             f"{MIN_KEYPOINTS} keypoints or more of a person"
         )
     kept = slice(int(enough[0]), int(enough[-1]) + 1)
     pixels, sure = track.pixels[kept], track.confidence[kept]
-    body, names = problem.body, keypoints.names
+    given = prior.for_joints(body.joint_names)
+    height = known.height
     betas = np.zeros(body.num_betas) if height is None else betas_of_height(body, height)
-    person = keypoints.shaped(betas, np.zeros((len(names), 3)))
-    pose, trans = placed_by_one(camera, pixels[:, 0], sure[:, 0], names, person, prior.mean)
+    person = keypoints.shaped(betas, np.zeros((len(keypoints.names), 3)))
+    camera = rig.cameras[0]
+    pose, trans = placed_by_one(
+        camera, pixels[:, 0], sure[:, 0], keypoints.names, person, given.mean
+    )
     middle = person.joints[0] + trans
     depth = np.maximum(middle @ camera.rotation[2] + camera.translation[2], 0.3)
     size = (height or 1.7) * camera.focal.mean() / depth
-    none = np.zeros((len(pixels), 1), bool)
-    sight = Sight(pixels, sure, size[:, None], np.ones((1, len(names))), np.zeros(1), none)
-    up = upright(person.points(pose, trans), keypoints, problem.known.up)
-    floor = on_floor(problem, sight, person, up)
+    sight = Sight(
+        pixels,
+        sure,
+        size[:, None],
+        np.ones((1, len(keypoints.names))),
+        np.zeros(1),
+        np.zeros((len(pixels), 1), bool),
+    )
+    up = upright(person.points(pose, trans), keypoints, known.up)
+    floor = on_floor(pixels, sight, rig, keypoints, person, known, up, detections.rate_hz)
     for reach in settings.reaches:
         seen = keypoint_data(
             person,
-            problem.rig,
+            rig,
             pixels,
             information(sight, keypoints, settings.noise),
-            prior.mean,
-            prior.precision,
+            given.mean,
+            given.precision,
             reach,
             *floor,
         )
-        pose, trans, _ = solve_poses(seen, pose, trans, problem.rate_hz, settings)
+        pose, trans, _ = solve_poses(seen, pose, trans, detections.rate_hz, settings)
     points = np.where(sure[:, 0, :, None] > 0.0, person.points(pose, trans), np.nan)
     return Start(sight, points, pose, trans, kept.start)
 
 
 def on_floor(
-    problem: PersonProblem,
+    pixels: Float[np.ndarray, "T C K 2"],
     sight: Sight,
+    rig: CameraRig,
+    keypoints: KeypointRig,
     person: ShapedKeypoints,
+    known: Known,
     up: str,
-    rig: CameraRig | None = None,
+    rate_hz: float,
 ) -> OnFloor:
     """Where feet of one camera stand on a known floor (m), NaN elsewhere, and the weights (1 /
-    m^2); None of both with several cameras, or without a floor. rig: as corrected.
+    m^2); None of both with several cameras, or without a floor.
     """
-    floor, rig = problem.known.floor, rig or problem.rig
-    if floor is None or not problem.one_camera:
-        return NO_FLOOR
+    if known.floor is None or len(rig.names) > 1:
+        return None, None
     points = standing_points(
         rig.cameras[0],
-        shifted(sight, problem.rate_hz)[:, 0],
+        pixels[:, 0],
         sight.size[:, 0],
-        problem.keypoints.names,
+        keypoints.names,
         person,
         up_rotation(up),
-        floor,
-        problem.rate_hz,
+        known.floor,
+        rate_hz,
     )
     return points, np.full(points.shape[:2], 1.0 / STILL_SD**2)
 

@@ -5,13 +5,18 @@ far the body's keypoints are from the detected ones.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.keypoints import KeypointRig
+
+if TYPE_CHECKING:
+    from habitus.fit.cameras.shape import CameraShape
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +52,62 @@ class CameraSolution(BodyMotion):
     costs: Mapping[str, float] = field(default_factory=dict)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def solved(
+        cls,
+        body: BodyModel,
+        shape: "CameraShape",
+        keypoints: KeypointRig,
+        pose: np.ndarray,
+        trans: np.ndarray,
+        rate_hz: float,
+        first_frame: int,
+        sight: Any,
+        pixels: np.ndarray,
+        points: np.ndarray,
+        given_rig: CameraRig,
+        detections: Any,
+        up_axis: str,
+        height: float | None,
+        status: str,
+        number: int,
+        total: int,
+        seconds: float,
+    ) -> Self:
+        """From the recipe's parts; person ``number`` of ``total``."""
+        name = detections.name if total == 1 else f"{detections.name}-{number + 1}"
+        views = "cameras" if len(given_rig.cameras) > 1 else "camera"
+        return cls(
+            body=body,
+            betas=shape.betas,
+            pose=pose,
+            trans=trans,
+            rate_hz=rate_hz,
+            up_axis=up_axis,
+            capture_name=name,
+            body_name=body.name,
+            made=(f"fitted to {detections.convention} of {len(given_rig.cameras)} {views}",),
+            keypoint_names=keypoints.names,
+            convention=detections.convention,
+            cameras=shape.rig,
+            given_cameras=given_rig,
+            corrections=shape.corrections,
+            late=sight.late,
+            observed=pixels,
+            confidence=sight.confidence,
+            size_px=sight.size,
+            exchanged=sight.exchanged,
+            keypoint_places=shape.offsets,
+            triangulated=points,
+            given_height=height,
+            first_frame=first_frame,
+            first_number=detections.first_number + first_frame,
+            status=status,
+            costs=dict(shape.costs),
+            stage_seconds={"fit": seconds},
+            warnings=(*detections.notes, *given_rig.notes),
+        )
 
     @cached_property
     def keypoints(self) -> Float[np.ndarray, "T K 3"]:

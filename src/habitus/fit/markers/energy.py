@@ -65,8 +65,8 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings
 from habitus.markers.layouts import MarkerLayout
+from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import BodyMarkers
-from habitus.observe.markers import LatentMarkers
 from habitus.residuals import shape_stage as shape_energy
 from habitus.residuals.shape_stage import diagonal
 from habitus.solve.terms import GemanMcClure, Term

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.interpolate import Akima1DInterpolator
 
 from habitus.arrays import runs
 from habitus.fit.markers.result import MarkerFit
@@ -111,6 +110,8 @@ def _filled(
 ) -> np.ndarray:
     frames = np.flatnonzero(seen)
     out = column.copy()
+    from scipy.interpolate import Akima1DInterpolator  # slow to import; whole captures need none
+
     out[inside] = Akima1DInterpolator(frames, column[frames])(inside)
     return out
 

@@ -53,6 +53,7 @@ from habitus.fit.markers.suspects import (
 )
 from habitus.kernels.threads import one_blas_thread
 from habitus.markers.layouts import MarkerLayout
+from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
 from habitus.parallel.blocks import distances, mapped
@@ -474,8 +475,7 @@ def _of_the_seen(observed: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(observed[..., 0]), weights, 0.0)
 
 
-FRAMES, MARKERS = 4, 2
-"""Of the warm-up: one group of SIMD lanes, and more markers than one."""
+FRAMES, MARKERS = 4, 2  # of the warm-up: one group of SIMD lanes, and more markers than one
 
 
 def warm_up(body: BodyModel) -> float:
@@ -492,6 +492,7 @@ def warm_up(body: BodyModel) -> float:
     scales = np.full(MARKERS, 0.1)
     observed = predict(rig, pose, trans, soft)
     body(betas, pose[0], trans[0])
+    LatentMarkers(body, body.faces[:MARKERS]).jacobian(betas, latent, pose, trans)
     brief = SequenceSettings(options=SequenceOptions(strides=(1,), sweeps=1))
     for start in (None, soft):
         fit_sequence(rig, observed, None, scales, prior, pose, trans, brief, soft_tissue=start)

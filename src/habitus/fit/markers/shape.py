@@ -14,8 +14,9 @@ from habitus.body.prior import PosePrior
 from habitus.fit.markers.energy import Placement, shape_terms
 from habitus.fit.markers.settings import MoshSettings
 from habitus.markers.layouts import MarkerLayout
+from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import MarkedBody, marked_body
-from habitus.observe.markers import LatentMarkers, MarkerAttachment, attach, default_markers
+from habitus.observe.markers import MarkerAttachment, attach, default_markers
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
 from habitus.solve.terms import geman_mcclure_weight

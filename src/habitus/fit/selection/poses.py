@@ -18,7 +18,8 @@ from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.settings import MoshWeights
 from habitus.fit.selection.problem import SELECTION, SelectionSettings
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.markers import LatentMarkers, attach, default_markers
+from habitus.observe.latent_markers import LatentMarkers
+from habitus.observe.markers import attach, default_markers
 from habitus.parallel.workers import Threads, Workers
 
 
