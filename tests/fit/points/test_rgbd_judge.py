@@ -45,7 +45,7 @@ def test_who_did_not_tell_the_room_gets_no_good_verdict(segmentation, level):
 def test_a_body_lower_than_the_person_and_a_rare_shape_are_doubted():
     assert judge(replace(SOUND, height_seen=1.80)).level == "doubtful"
     assert judge(replace(SOUND, beta_max=5.5)).level == "doubtful"
-    assert judge(replace(SOUND, beta_max=7.0)).level == "failed"
+    assert judge(replace(SOUND, beta_max=9.5)).level == "failed"
 
 
 @pytest.mark.parametrize("years", [5.0, 8.0, 10.0])

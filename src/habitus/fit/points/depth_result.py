@@ -224,7 +224,8 @@ class RgbdLimits:
     explained: Bound = Bound(0.97, 0.90)
     outside: Bound = Bound(0.02, 0.08)
     overlap: Bound = Bound(0.86, 0.72)
-    beta_max: Bound = Bound(3.9, 6.5)
+    beta_max: Bound = Bound(3.9, 9.0)
+    """Right bodies of people about SMPL's means reach 8.8."""
     beta_rms: Bound = Bound(2.1, 3.0)
     height: Bound = Bound(0.03, 0.08)
     """Metres between the body's height and the person's highest point."""
