@@ -54,8 +54,8 @@ def retarget_to_character(
     if out is not None:
         check_character_path(path, out)
     motion = BodyMotion.of(motion_of(source, body))
-    rig, skin, write = _opened(path)
     try:
+        rig, skin, write = _opened(path)
         with one_blas_thread():
             built = character_of(rig, skin, path.stem)
             upright = turned(motion, up_rotation(motion.up_axis))

@@ -14,7 +14,7 @@ from habitus.export.fbx.nodes import Node, document, kept
 from habitus.export.fbx.scene import TICKS, Objects, ticks
 from habitus.files import atomic_write
 from habitus.fit.retarget.characters import CharacterMotion, Skin, node_tracks
-from habitus.io.motions.fbx import FbxScene, form_of, name_of
+from habitus.io.motions.fbx import FbxScene, form_of, geometric, name_of
 from habitus.io.motions.fbx_motion import matrix_of, rest_of
 from habitus.io.motions.fbx_nodes import FbxNode
 from habitus.io.motions.sampling import turns_of
@@ -45,13 +45,14 @@ def _skinned(scene: FbxScene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarr
     """Vertices at rest, joints and weights of each mesh."""
     linear, places, _ = rest_of(scene)
     at = {model.number: k for k, model in enumerate(scene.models)}
+    meshes = {child: above for child, above, _ in scene.links if _is_model(scene, above)}
     for number, node in scene.objects.items():
         given = node.first("Vertices") if node.name == "Geometry" else None
         if given is None:
             continue
-        points = given.array().astype(np.float64).reshape(-1, 3)
-        if not (np.abs(points) < 1e9).all():
-            raise HabitusError("vertices that are no finite numbers; export the file again")
+        points = _points(given)
+        if number in meshes:
+            points = geometric(scene.objects[meshes[number]], points)
         moved, total = np.zeros_like(points), np.zeros(len(points))
         influences = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
         for joint, indices, values, matrix in _clusters(scene, number, at):
@@ -65,6 +66,18 @@ def _skinned(scene: FbxScene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarr
         used = np.flatnonzero(total > 1e-6)
         index, value = _strongest(influences, len(points))
         yield moved[used] / total[used, None], index[used], value[used]
+
+
+def _is_model(scene: FbxScene, number: int) -> bool:
+    return number in scene.objects and scene.objects[number].name == "Model"
+
+
+def _points(node: FbxNode) -> Float[np.ndarray, "V 3"]:
+    """The vertices of a mesh. Raises HabitusError."""
+    numbers = node.array().astype(np.float64)
+    if len(numbers) % 3 or not (np.abs(numbers) < 1e9).all():
+        raise HabitusError("vertices that are not three finite numbers each; export the file again")
+    return numbers.reshape(-1, 3)
 
 
 def _strongest(

@@ -35,7 +35,6 @@ class Model:
 
     number: int
     name: str
-    form: str
     parts: Float[np.ndarray, "3 3"]
     """Translation, rotation, scaling where no curve moves them."""
     order: str
@@ -46,7 +45,6 @@ class Model:
     scaling_offset: Float[np.ndarray, " 3"]
     scaling_pivot: Float[np.ndarray, " 3"]
     inherit: int
-    geometric: Float[np.ndarray, "3 3"]
 
     def turn(self, degrees: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
         """The rotation in the parent of Euler angles."""
@@ -99,7 +97,10 @@ class FbxScene:
     @property
     def scale(self) -> float:
         """Metres a unit."""
-        return 0.01 * real_number(self.settings, "UnitScaleFactor", 1.0)
+        unit = real_number(self.settings, "UnitScaleFactor", 1.0)
+        if unit < 0.0:
+            raise HabitusError(f"UnitScaleFactor {unit:g}; expected a positive number")
+        return 0.01 * unit
 
     @property
     def second(self) -> int:
@@ -194,12 +195,12 @@ def _ordered(joints: set[int], parent: Mapping[int, int]) -> list[int]:
     """Joints and all above them, parents first, branches together."""
     kept: set[int] = set()
     for joint in joints:
-        way: list[int] = []
+        way: set[int] = set()
         at = joint
         while at and at not in kept:
             if at in way:
-                raise HabitusError("nodes hang on one another in a circle; export it again")
-            way.append(at)
+                raise HabitusError("nodes are each other's parents; export the file again")
+            way.add(at)
             at = parent.get(at, 0)
         kept.update(way)
     children: dict[int, list[int]] = {}
@@ -296,7 +297,6 @@ def _model(number: int, node: FbxNode, default: Properties) -> Model:
     return Model(
         number=number,
         name=name_of(node),
-        form=form_of(node),
         parts=np.array(parts),
         order=ORDERS[order],
         before=turn("PreRotation"),
@@ -306,18 +306,22 @@ def _model(number: int, node: FbxNode, default: Properties) -> Model:
         scaling_offset=vector(given, "ScalingOffset"),
         scaling_pivot=vector(given, "ScalingPivot"),
         inherit=whole_number(given, "InheritType", 0),
-        geometric=np.array(
-            [
-                vector(given, "GeometricTranslation"),
-                vector(given, "GeometricRotation"),
-                vector(given, "GeometricScaling", 1.0),
-            ]
-        ),
     )
 
 
+def geometric(node: FbxNode, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Points of a model's mesh in the model's own axes: its geometric transformation, which moves
+    the mesh alone (3ds Max writes one for an object offset).
+    """
+    given = properties(node)
+    angles = vector(given, "GeometricRotation")
+    turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    scaled = points * vector(given, "GeometricScaling", 1.0)
+    return scaled @ turn.T + vector(given, "GeometricTranslation")
+
+
 def name_of(node: FbxNode) -> str:
-    """An object\'s name."""
+    """An object's name."""
     return str(node.value(1) or "").partition("\0")[0][:MAX_NAME_LENGTH]
 
 

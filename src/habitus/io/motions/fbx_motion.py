@@ -1,5 +1,7 @@
 """FBX: the rest pose and the motion of a scene's skeleton."""
 
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,7 @@ from habitus.io.motions.fbx_nodes import FbxDocument, FbxNode
 from habitus.io.motions.sampling import even_times, turns_of
 
 ENDINGS = (".fbx",)
+_AXES = {"d|X": 0, "d|Y": 1, "d|Z": 2}
 _MOVING = {"Lcl Translation": 0, "Lcl Rotation": 1, "Lcl Scaling": 2}
 _RATES = {1: 120.0, 2: 100.0, 3: 60.0, 4: 50.0, 5: 48.0, 6: 30.0, 7: 30.0, 10: 25.0, 11: 24.0}
 _RATES |= {8: 30 / 1.001, 9: 30 / 1.001, 12: 1000.0, 13: 24 / 1.001, 15: 96.0, 16: 72.0}
@@ -32,6 +35,8 @@ _RATES |= {17: 60 / 1.001, 18: 120 / 1.001}
 _CUSTOM = 14
 SAME = 0.05
 """Share by which bones of the bind pose may differ from those of the nodes."""
+Curves = dict[tuple[int, int, int], Curve]
+"""By model, part (0 translation, 1 rotation, 2 scaling) and axis."""
 
 
 # -- the rest pose ---------------------------------------------------------------------------------
@@ -126,6 +131,7 @@ def rig_of_scene(scene: FbxScene) -> Rig:
     """The skeleton at rest, in metres and the file's own axes. Raises HabitusError."""
     if not scene.models:
         raise HabitusError(f"{scene.path}: no skeleton; expected limb nodes or a skin")
+    up_axis_of(scene)  # mirrored axes are refused
     linear, places, _ = rest_of(scene)
     with_child = set(scene.parents)
     skinned = clustered(scene.objects, list(scene.links))
@@ -193,14 +199,11 @@ def frame_rate(scene: FbxScene) -> float:
     return _RATES.get(mode, 0.0)
 
 
-def animation_of(
-    scene: FbxScene,
-) -> tuple[dict[tuple[int, int, int], Curve], tuple[str, ...]]:
-    """Curves of the active animation by model, part (0 translation, 1 rotation, 2 scaling) and
-    axis, and notes on what is left out.
-    """
+def animation_of(scene: FbxScene) -> tuple[Curves, tuple[str, ...]]:
+    """Curves of the active animation, and notes on what is left out."""
     stacks = [n for n, node in scene.objects.items() if node.name == "AnimationStack"]
-    found = [(stack, *_curves_of(scene, stack)) for stack in stacks]
+    layers = _layers(scene)
+    found = [(stack, *_curves_of(scene, stack, layers)) for stack in stacks]
     moving = [each for each in found if any(which == 1 for _, which, _ in each[1])]
     if not moving:
         return {}, ()
@@ -221,34 +224,52 @@ def _active(document: FbxDocument) -> str:
     return ""
 
 
-def _curves_of(
-    scene: FbxScene, stack: int
-) -> tuple[dict[tuple[int, int, int], Curve], tuple[str, ...]]:
-    """Curves on the first layer of a stack that has any."""
-    targets: dict[int, list[tuple[int, int]]] = {}
+def _layers(scene: FbxScene) -> dict[int, Curves]:
+    """Curves of each AnimationLayer that has any. A curve is read once, however many nodes share
+    it.
+    """
     known = {model.number for model in scene.models}
+    targets: dict[int, list[tuple[int, int]]] = {}
     for child, parent, name in scene.links:
         if name in _MOVING and parent in known:
             targets.setdefault(child, []).append((parent, _MOVING[name]))
-    below, objects = scene.below, scene.objects
-    layers = []
-    for layer, _ in below.get(stack, []):
-        curves = {}
-        for group, _ in below.get(layer, []):
-            for model, which in targets.get(group, []):
-                for number, name in below.get(group, []):
-                    axis = {"d|X": 0, "d|Y": 1, "d|Z": 2}.get(name)
-                    node = objects.get(number)
-                    if axis is None or node is None or node.name != "AnimationCurve":
-                        continue
-                    curve = curve_of(node, scene.second)
-                    if curve is not None:
-                        curves[model, which, axis] = curve
-        if curves:
-            layers.append(curves)
-    if not layers:
+
+    @cache
+    def curve(number: int) -> Curve | None:
+        node = scene.objects.get(number)
+        return curve_of(node, scene.second) if node and node.name == "AnimationCurve" else None
+
+    @cache
+    def channels(group: int) -> Curves:
+        links = {name: number for number, name in scene.below.get(group, ())}
+        read = {axis: curve(links[name]) for name, axis in _AXES.items() if name in links}
+        return {
+            (model, which, axis): each
+            for model, which in targets.get(group, ())
+            for axis, each in read.items()
+            if each is not None
+        }
+
+    found: dict[int, Curves] = {}
+    for layer, node in scene.objects.items():
+        for group, _ in scene.below.get(layer, ()) if node.name == "AnimationLayer" else ():
+            if moved := channels(group):
+                found.setdefault(layer, {}).update(moved)
+    return found
+
+
+def _curves_of(
+    scene: FbxScene, stack: int, layers: Mapping[int, Curves]
+) -> tuple[Curves, tuple[str, ...]]:
+    """Curves on the first layer of a stack that has any."""
+    own = [
+        layer
+        for layer in dict.fromkeys(number for number, _ in scene.below.get(stack, ()))
+        if layer in layers
+    ]
+    if not own:
         return {}, ()
     notes = ()
-    if len(layers) > 1:
-        notes = (f"of its {len(layers)} layers of animation only the first is read; bake them",)
-    return layers[0], notes
+    if len(own) > 1:
+        notes = (f"of its {len(own)} layers of animation only the first is read; bake them",)
+    return layers[own[0]], notes
