@@ -83,5 +83,8 @@ def test_files(tmp_path):
     assert len(rows) >= len(SEATED)
     with pytest.raises(HabitusError, match="pattern programs take standing people"):
         measured.save(tmp_path / "a.smis")
+    with pytest.raises(HabitusError, match="seated dimensions have no picture"):
+        measured.draw(tmp_path / "a.svg")
+    assert measured.segment_rows() == measure_file("male").segment_rows()
     with pytest.raises(HabitusError, match="expected one of standing, seated"):
         measure_file("male", posture="lying")
