@@ -116,8 +116,8 @@ def test_a_long_array_needs_no_call_of_posix(monkeypatch):
 def test_names_that_differ_in_case_are_one_file_where_the_disk_says_so(tmp_path, monkeypatch):
     names = ["Walk", "walk", "run", "re\u0301sume\u0301", "r\u00e9sum\u00e9"]
     assert one_file(names, tmp_path / "out") == []
-    exists = Path.exists
-    monkeypatch.setattr(Path, "exists", lambda self: exists(self) or _by_case(self))
+    exists = os.path.exists
+    monkeypatch.setattr(os.path, "exists", lambda path: exists(path) or _by_case(Path(path)))
     assert set(one_file(names, tmp_path / "out")) == set(names) - {"run"}
     for path in (tmp_path / "in" / "Walk.c3d", tmp_path / "in" / "walk.trc"):
         path.parent.mkdir(exist_ok=True)
@@ -127,6 +127,11 @@ def test_names_that_differ_in_case_are_one_file_where_the_disk_says_so(tmp_path,
     captures = [Capture(name, ("a",), np.zeros((1, 1, 3)), 1.0, "+y") for name in ("Walk", "walk")]
     with pytest.raises(HabitusError, match="Walk, walk"):
         capture_folders(tmp_path / "out", captures, False)
+
+
+def test_a_drive_that_is_missing_has_no_rule_of_names(tmp_path, monkeypatch):
+    monkeypatch.setattr(os.path, "exists", lambda path: False)
+    assert one_file(["Walk", "walk"], tmp_path / "out") == []
 
 
 def _by_case(path: Path) -> bool:
