@@ -278,7 +278,7 @@ def test_what_cannot_be_read_is_refused(walk, tmp_path):
             read_fbx_motion(path)
         assert str(path) in str(error.value)
     write_fbx_character(path)
-    with pytest.raises(HabitusError, match="no animation turns its joints"):
+    with pytest.raises(HabitusError, match="no animation rotates its joints"):
         read_fbx_motion(path)
     with pytest.raises(HabitusError, match=r"expected \.fbx for the character"):
         retarget_to_character(walk, path, out=tmp_path / "b.glb")

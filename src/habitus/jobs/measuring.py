@@ -37,7 +37,7 @@ POSE = (
     "the posture says so"
 )
 UNLOADED = (
-    "flesh under load is not simulated; docs/measurements.md says how near each measure comes"
+    "flesh under load is not simulated; docs/measurements.md lists the error of each dimension"
 )
 _SEGMENTS = {
     "pelvis": "trunk", "hip": "thigh", "knee": "shank", "ankle": "foot", "foot": "toes",

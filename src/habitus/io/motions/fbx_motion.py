@@ -1,4 +1,4 @@
-"""FBX: the rest pose and the motion of a scene's skeleton."""
+"""Rest pose and motion of the skeleton in an FBX scene."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -34,7 +34,7 @@ _RATES |= {8: 30 / 1.001, 9: 30 / 1.001, 12: 1000.0, 13: 24 / 1.001, 15: 96.0, 1
 _RATES |= {17: 60 / 1.001, 18: 120 / 1.001}
 _CUSTOM = 14
 SAME = 0.05
-"""Share by which bones of the bind pose may differ from those of the nodes."""
+"""Relative difference up to which bones of the bind pose and of the nodes have the same length."""
 Curves = dict[tuple[int, int, int], Curve]
 """By model, part (0 translation, 1 rotation, 2 scaling) and axis."""
 
@@ -60,7 +60,7 @@ def up_axis_of(scene: FbxScene) -> str:
 
 
 def bind_matrices(scene: FbxScene) -> dict[int, Float[np.ndarray, "4 4"]]:
-    """Where joints were in the world when their skins were bound, by the models' numbers."""
+    """World matrices of joints in the bind pose, by the models' numbers, in the file's unit."""
     found: dict[int, np.ndarray] = {}
     for node in scene.objects.values():
         if node.name == "Pose" and form_of(node) == "BindPose":
@@ -77,7 +77,7 @@ def bind_matrices(scene: FbxScene) -> dict[int, Float[np.ndarray, "4 4"]]:
 
 
 def matrix_of(node: FbxNode) -> Float[np.ndarray, "4 4"]:
-    """A matrix, columns as the file has them one after another. Raises HabitusError."""
+    """A regular matrix, stored by columns. Raises HabitusError."""
     values = node.array().astype(np.float64)
     if values.shape != (16,) or not (np.abs(values) < 1e9).all():
         raise HabitusError(f"{shown(node.name)} is no matrix; export the file again")
@@ -90,11 +90,11 @@ def matrix_of(node: FbxNode) -> Float[np.ndarray, "4 4"]:
 def rest_of(
     scene: FbxScene,
 ) -> tuple[Float[np.ndarray, "N 3 3"], Float[np.ndarray, "N 3"], tuple[str, ...]]:
-    """Linear parts and places of the models at rest, in the file's unit, and notes.
+    """Linear parts and origins of the models at rest, in the file's unit, and notes.
 
-    Joints rest where their skins were bound; others, where the file has PreRotations, with no
-    rotation but these, else as they are in their parents. Where bones of the bind pose have other
-    lengths than the nodes', the nodes decide.
+    The rest pose of a skinned joint is its bind pose. Other joints have only their PreRotations, if
+    the file has any, else the rotations of their nodes. If bones of the bind pose and of the nodes
+    differ in length, the rest pose is that of the nodes.
     """
     joints = np.array([model.number in scene.joints for model in scene.models], bool)
     bound = bind_matrices(scene)
@@ -119,10 +119,12 @@ def rest_of(
             way = rest[parent] @ np.linalg.inv(linear[parent])
             rest[k], there[k] = way @ linear[k], there[parent] + way @ (places[k] - places[parent])
     if ratios and abs(float(np.median(ratios)) - 1.0) > SAME:
-        note = "its bind pose has bones of other lengths than its nodes, whose pose is its rest"
+        note = (
+            "bones of its bind pose and of its nodes differ in length: the nodes' pose is its rest"
+        )
         return own_linear, own_places, (note,)
     if not bound and not oriented:
-        note = "no skin and no PreRotations: the pose that its nodes have is taken for its rest"
+        note = "no skin and no PreRotations: the nodes' pose is used as its rest pose"
         return rest, there, (note,)
     return rest, there, ()
 
@@ -151,10 +153,10 @@ def rig_of_scene(scene: FbxScene) -> Rig:
 
 
 def read_fbx_motion(path: Path) -> RigMotion:
-    """The skeleton of an FBX file in its active animation, metres, in the file's own axes.
+    """The skeleton of an FBX file and its active animation, in metres and the file's axes.
 
-    Keys are sampled evenly: at their own distance where that is a frame's or less, else at the
-    file's frame rate. Raises HabitusError with the file named.
+    Curves are sampled evenly: at the distance of the keys, or at the file's frame rate where keys
+    are sparser. Raises HabitusError with the file named.
     """
     scene = read_fbx(path)
     try:
@@ -171,7 +173,7 @@ def _motion(scene: FbxScene) -> RigMotion:
     rig = rig_of_scene(scene)
     curves, notes = animation_of(scene)
     if not any(which == 1 for _, which, _ in curves):
-        raise HabitusError("no animation turns its joints; expected a skeleton in motion")
+        raise HabitusError("no animation rotates its joints; expected a skeleton in motion")
     times, rate = even_times(
         [curve.times / scene.second for curve in curves.values()], frame_rate(scene)
     )
@@ -192,7 +194,7 @@ def _motion(scene: FbxScene) -> RigMotion:
 
 
 def frame_rate(scene: FbxScene) -> float:
-    """Frames a second that the file names; 0 where it names none."""
+    """The file's frame rate (Hz); 0 where it has none."""
     mode = whole_number(scene.settings, "TimeMode", 0)
     if mode == _CUSTOM:
         return max(real_number(scene.settings, "CustomFrameRate", 0.0), 0.0)
@@ -212,12 +214,12 @@ def animation_of(scene: FbxScene) -> tuple[Curves, tuple[str, ...]]:
     stack, curves, notes = (named or moving)[0]
     if len(moving) > 1:
         name = shown(name_of(scene.objects[stack]))
-        notes = (*notes, f"of its {len(moving)} animations this is read: {name!r}")
+        notes = (*notes, f"{name!r} is read, of {len(moving)} animations")
     return curves, notes
 
 
 def _active(document: FbxDocument) -> str:
-    """The animation that the document calls active."""
+    """The name of the document's active animation."""
     for node in document.nodes:
         for each in node.all("Document") if node.name == "Documents" else ():
             return str(properties(each).get("ActiveAnimStackName", [""])[0])
@@ -271,5 +273,5 @@ def _curves_of(
         return {}, ()
     notes = ()
     if len(own) > 1:
-        notes = (f"of its {len(own)} layers of animation only the first is read; bake them",)
+        notes = (f"only the first of {len(own)} animation layers is read; bake them",)
     return layers[own[0]], notes
