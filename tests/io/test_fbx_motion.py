@@ -92,19 +92,59 @@ def test_blenders_export_of_a_bvh_is_the_bvh(walk, scale, axes, tmp_path):
     np.testing.assert_allclose(other.vertices(), one.vertices(), atol=1e-5)
 
 
-@pytest.mark.parametrize("options", [{}, {"scale": 1.0, "unit": 2.54, "version": 7700}])
-def test_transformations_are_those_of_ufbx(options, tmp_path):
-    """With pivots, PreRotation, PostRotation and all rotation orders."""
+def edited(source: Path, target: Path, change: Callable[[Node], Node]) -> None:
+    """Write a binary FBX file again with every node changed."""
+    read = read_document(source.read_bytes())
+
+    def again(node: Node) -> Node:
+        return change(Node(node.name, node.values, list(map(again, node.nodes)), node.scope))
+
+    nodes = [again(kept(node)) for node in read.nodes]
+    target.write_bytes(document(nodes, read.version))
+
+
+def _property(name: str, *values: Value) -> Callable[[Node], Node]:
+    """A change of one property."""
+
+    def change(node: Node) -> Node:
+        words = node.values
+        is_it = node.name == "P" and bytes(words[0])[5:] == name.encode()
+        return Node("P", (*words[:4], *values)) if is_it else node
+
+    return change
+
+
+def of_ufbx(path: Path) -> dict[str, np.ndarray]:
+    """World matrices of a file's nodes by name, evaluated by ufbx; skips where it is missing."""
     ufbx = pytest.importorskip("ufbx", reason="no pyufbx here: pip install pyufbx")
-    write_fbx_character(tmp_path / "a.fbx", **options)
-    scene = read_fbx(tmp_path / "a.fbx")
-    assert {model.order for model in scene.models} == set(ORDERS)
+    with ufbx.load_file(str(path)) as theirs:
+        return {node.name: np.array(node.node_to_world).T for node in theirs.nodes}
+
+
+def check_transformations(path: Path) -> None:
+    """The nodes of a file are where ufbx has them."""
+    scene, matrices = read_fbx(path), of_ufbx(path)
     linear, places = scene.world(scene.at_rest())
-    with ufbx.load_file(str(tmp_path / "a.fbx")) as theirs:
-        matrices = {node.name: np.array(node.node_to_world).T for node in theirs.nodes}
     for k, model in enumerate(scene.models):
         np.testing.assert_allclose(linear[k], matrices[model.name][:3, :3], atol=1e-9)
         np.testing.assert_allclose(places[k], matrices[model.name][:3, 3], atol=1e-9)
+
+
+@pytest.mark.parametrize("options", [{}, {"scale": 1.0, "unit": 2.54, "version": 7700}])
+def test_transformations_are_those_of_ufbx(options, tmp_path):
+    """With pivots, PreRotation, PostRotation and all rotation orders."""
+    write_fbx_character(tmp_path / "a.fbx", step=40, **options)
+    assert {model.order for model in read_fbx(tmp_path / "a.fbx").models} == set(ORDERS)
+    check_transformations(tmp_path / "a.fbx")
+
+
+@pytest.mark.parametrize("inherit", [0, 1, 2])
+def test_uneven_scales_are_inherited_as_by_ufbx(inherit, tmp_path):
+    write_fbx_character(tmp_path / "a.fbx", step=40)
+    inherits = _property("InheritType", inherit)
+    scales = _property("Lcl Scaling", 0.8, 1.3, 1.1)
+    edited(tmp_path / "a.fbx", tmp_path / "b.fbx", lambda node: scales(inherits(node)))
+    check_transformations(tmp_path / "b.fbx")
 
 
 CHARACTERS = [
@@ -284,17 +324,6 @@ def test_what_cannot_be_read_is_refused(walk, tmp_path):
         retarget_to_character(walk, path, out=tmp_path / "b.glb")
 
 
-def edited(source: Path, target: Path, change: Callable[[Node], Node]) -> None:
-    """Write a binary FBX file again with every node changed."""
-    read = read_document(source.read_bytes())
-
-    def again(node: Node) -> Node:
-        return change(Node(node.name, node.values, list(map(again, node.nodes)), node.scope))
-
-    nodes = [again(kept(node)) for node in read.nodes]
-    target.write_bytes(document(nodes, read.version))
-
-
 def test_a_geometric_transformation_moves_the_mesh_alone(tmp_path):
     """3ds Max keeps an object's offset as one: the same character with its vertices moved back."""
     write_fbx_character(tmp_path / "a.fbx", step=4)
@@ -341,17 +370,6 @@ def test_a_curve_is_read_once(tmp_path, monkeypatch):
 
 def _first(name: str, *values: Value) -> Callable[[Node], Node]:
     return lambda node: Node(name, values, node.nodes) if node.name == name else node
-
-
-def _property(name: str, *values: Value) -> Callable[[Node], Node]:
-    """A change of one property."""
-
-    def change(node: Node) -> Node:
-        words = node.values
-        is_it = node.name == "P" and bytes(words[0])[5:] == name.encode()
-        return Node("P", (*words[:4], *values)) if is_it else node
-
-    return change
 
 
 @pytest.mark.parametrize(
