@@ -73,6 +73,8 @@ def test_both_levels_of_detail_agree():
 def test_files(tmp_path):
     measured = measure_file("male", posture="seated")
     assert "not simulated" in measured.notes[0]
+    unreliable = measured.notes[1].removeprefix("not reliable: ").split(", ")
+    assert len(unreliable) == 3 and set(unreliable) < set(measured.values)
     measured.save(tmp_path / "a.json")
     measured.save(tmp_path / "a.csv")
     facts = json.loads((tmp_path / "a.json").read_text())

@@ -74,6 +74,9 @@ SEATED = MappingProxyType(
     }
 )
 """By name, with the unit as suffix: definition, ISO 7250-1's term, ANSUR II's column."""
+UNRELIABLE = ("elbow_rest_height_m", "abdominal_depth_sitting_m", "forearm_forearm_breadth_m")
+"""Dimensions whose errors are too large for use (``benchmarks/seated.py``): arms hang at one angle
+instead of resting on the trunk."""
 SEAT = 0.052
 """Share of stature by which the seat is below the centres of the hips: people sit on their ischia,
 and the flesh below these gives way. Fitted to four heights above the seat of 200 soldiers of ANSUR

@@ -19,7 +19,7 @@ from habitus.body.measurement_names import DEFINITIONS, LEVEL_ARMS, Definition, 
 from habitus.body.measurements import DENSITY, is_closed, surface_area, volume
 from habitus.body.model import BodyModel
 from habitus.body.recentred import is_of, misfit, turned_by
-from habitus.body.seated import SEATED, SEATED_POSTURE
+from habitus.body.seated import SEATED, SEATED_POSTURE, UNRELIABLE
 from habitus.body.segments import SegmentMasses, surface_masses
 from habitus.errors import HabitusError
 from habitus.export.measurements import program_of, write_measurements
@@ -234,7 +234,7 @@ def _measured(source: str, body: BodyModel, rest: np.ndarray, posture: str) -> M
     if not values:
         lacking = "measurement landmarks" if posture == "standing" else "arms and legs to sit with"
         raise HabitusError(f"{source}: {body.name} has no {lacking}; use a human body")
-    notes = (UNLOADED,) if posture == "seated" else ()
+    notes = () if posture == "standing" else (UNLOADED, f"not reliable: {', '.join(UNRELIABLE)}")
     return Measurements(source, values, notes, body, rest, posture)
 
 
