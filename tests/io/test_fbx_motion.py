@@ -4,17 +4,15 @@ hold, and what independent programs say of the same files.
 
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_rigs import MIXAMO, bvh_text, foreign
+from foreign_rigs import MIXAMO, bvh_text, foreign, walk_motion
 from made_fbx_character import as_text, write_fbx_character
 from read_blender import PROGRAMS
 from scipy.spatial.transform import Rotation
-from synthetic_fit import synthetic_fit
 
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
@@ -22,7 +20,6 @@ from habitus.export.fbx.character import skin_of_scene
 from habitus.export.fbx.nodes import Node, Value, document, kept
 from habitus.export.fbx.scene import prop
 from habitus.export.fbx.write import write_fbx
-from habitus.fit.retarget.recipe import turned
 from habitus.io.models.bodies import load_body
 from habitus.io.motions.fbx import ORDERS, read_fbx
 from habitus.io.motions.fbx_curves import curve_of
@@ -30,17 +27,11 @@ from habitus.io.motions.fbx_motion import read_fbx_motion
 from habitus.io.motions.fbx_nodes import FbxNode, read_document
 from habitus.io.people import read_motion
 from habitus.jobs.characters import retarget_to_character
-from habitus.rotations import up_rotation
 
 
 @pytest.fixture(scope="module")
 def walk() -> BodyMotion:
-    made = BodyMotion.of(synthetic_fit(60, rate_hz=60.0))
-    body = load_body("default")
-    pose = made.pose[:, : body.num_joints]
-    motion = BodyMotion(body, np.zeros(body.num_betas), pose, made.trans, 60.0, made.up_axis)
-    motion = replace(turned(motion, up_rotation(made.up_axis)), up_axis="+y")
-    return replace(motion, trans=motion.trans - [0.0, motion.vertices()[..., 1].min(), 0.0])
+    return walk_motion()
 
 
 @pytest.mark.parametrize(("name", "joints"), [("default", "smpl"), ("female", "smplx")])

@@ -252,7 +252,9 @@ def _read(node: Node) -> FbxNode:
 
 def _more(node: Node, extra: int) -> Node:
     count = _read(node).value()
-    return Node(node.name, (count + extra,)) if type(count) is int else node
+    if type(count) is int and 0 <= count < 1 << 30:
+        return Node(node.name, (count + extra,))
+    return node
 
 
 def _active(node: Node, name: str) -> Node:

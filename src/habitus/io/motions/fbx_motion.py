@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from habitus.body.rig import Rig, RigMotion
 from habitus.errors import HabitusError, shown
-from habitus.io.archives import reason
 from habitus.io.limits import Allowance
 from habitus.io.motions.fbx import (
     FbxScene,
@@ -24,7 +23,7 @@ from habitus.io.motions.fbx import (
 )
 from habitus.io.motions.fbx_curves import Curve, curve_of
 from habitus.io.motions.fbx_nodes import FbxDocument, FbxNode
-from habitus.io.motions.sampling import even_times, turns_of
+from habitus.io.motions.sampling import even_times, reading_animation, turns_of
 
 ENDINGS = (".fbx",)
 _AXES = {"d|X": 0, "d|Y": 1, "d|Z": 2}
@@ -159,14 +158,8 @@ def read_fbx_motion(path: Path) -> RigMotion:
     are sparser. Raises HabitusError with the file named.
     """
     scene = read_fbx(path)
-    try:
+    with reading_animation(path):
         return _motion(scene)
-    except HabitusError as error:
-        raise HabitusError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
-    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
-        raise HabitusError(
-            f"{path}: its animation is damaged ({reason(error)}); export it again"
-        ) from error
 
 
 def _motion(scene: FbxScene) -> RigMotion:

@@ -1,12 +1,32 @@
 """Sampling that animation formats share: evenly spaced frames, rotations of linear parts."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
+from habitus.io.archives import reason
 
 MAX_RATE = 1000.0
 MOST_FRAMES = 200_000
+
+
+@contextmanager
+def reading_animation(path: Path) -> Iterator[None]:
+    """Raise HabitusError, with the file named, for whatever a damaged animation makes the block
+    raise.
+    """
+    try:
+        yield
+    except HabitusError as error:
+        raise HabitusError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
+        raise HabitusError(
+            f"{path}: its animation is damaged ({reason(error)}); export it again"
+        ) from error
 
 
 def even_times(
