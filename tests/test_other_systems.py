@@ -1,5 +1,5 @@
-"""What Windows and macOS do otherwise, played on this system: files in use that cannot be replaced,
-disks that do not tell Walk from walk, consoles that know few letters, workers that are not forked.
+"""Behaviour of Windows and macOS, emulated on this system: files in use that cannot be replaced,
+case-insensitive disks, consoles with small character sets, workers that are not forked.
 """
 
 import ast
@@ -170,7 +170,7 @@ def test_a_path_with_slashes_is_a_layouts_file(monkeypatch):
         load_layout("mine/cmu-41")
 
 
-def test_every_help_and_answer_fits_a_console_of_few_letters(tmp_path):
+def test_every_help_and_answer_fits_a_console_with_a_small_character_set(tmp_path):
     """Code page 1252 without UTF-8 mode, as a pipe of Windows has it, and ASCII."""
     commands = [[name, "--help"] for name in COMMANDS]
     commands += [["layout", "show"], ["layout", "show", "cmu-41"], ["measure", "female"]]

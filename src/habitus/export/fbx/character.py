@@ -40,7 +40,7 @@ def skin_of_scene(scene: FbxScene) -> Skin:
 
 
 def _skinned(scene: FbxScene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Vertices at rest, joints and weights of each mesh."""
+    """Vertices at rest (in the file's unit), joints and weights of each mesh."""
     linear, places, _ = rest_of(scene)
     at = {model.number: k for k, model in enumerate(scene.models)}
     meshes = {child: above for child, above, _ in scene.links if _is_model(scene, above)}

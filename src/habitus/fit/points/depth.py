@@ -66,13 +66,13 @@ def fit_state(
 ) -> ViewsFit:
     """Shape, poses and places: E_C + E_D + E_F + E_P + E_S + E_Q (T eq. 4.3), and the outlines.
 
-    bodies: one, or several by name: the first, neutral one finds the start. Where its shape is read
-    as a woman's or a man's (`habitus.body.gender`), that body is tried, and taken if it explains
-    depth better than the first. turns: degrees by which the person is turned in each view, to the
-    person's left; unknown ones are None. start: a pose for each view to begin with in place of
-    trying some, turned by up to 30 degrees otherwise; the translation comes from the person's
-    pixels. Views without a person are left out and named in ``notes``. Raises HabitusError where no
-    view shows a person, and for another number of turns or poses than views.
+    bodies: one, or several by name: the first, neutral one finds the start. The body of the sex as
+    which its shape is classified (`habitus.body.gender`) is tried next, and the one with the lower
+    cost after the coarse stages is fitted. turns: degrees by which the person is turned in each
+    view, to the person's left; unknown ones are None. start: a pose for each view to begin with in
+    place of trying some, turned by up to 30 degrees otherwise; the translation comes from the
+    person's pixels. Views without a person are left out and named in ``notes``. Raises HabitusError
+    where no view shows a person, and for another number of turns or poses than views.
     """
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
