@@ -93,13 +93,13 @@ def light(source: str | None, out: Path, count: int, here: dict) -> None:
     known = np.concatenate([part.vertices for part in surfaces]) @ turn.T
     rows = []
     for name, given in LIGHT.items():
-        told = export_motion(motion, out / "light.glb", **given)
-        read = Glb(told.path)
+        written = export_motion(motion, out / "light.glb", **given)
+        read = Glb(written.path)
         off = [
             np.linalg.norm(read.vertices(frame / motion.rate_hz) - one[seams], axis=-1)
             for frame, one in zip(frames, known, strict=True)
         ]
-        row = {"blend shapes": told.morphs, "megabytes": told.path.stat().st_size / 1e6}
+        row = {"blend shapes": written.morphs, "megabytes": written.path.stat().st_size / 1e6}
         rms = float(np.sqrt(np.mean(np.square(off))))
         row |= {"worst_mm": 1e3 * float(np.max(off)), "rms_mm": 1e3 * rms}
         rows.append({"name": name} | row)

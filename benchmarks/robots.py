@@ -8,7 +8,8 @@ motions of the same body: its SMPL-X table takes joints by SMPL's names, which a
 
 - direction: angle between limbs of the robot and of the person, degrees: mean over thighs, shanks,
   upper arms and forearms (first with all frames, then those in which no joint is at a limit).
-- slip: heels and toes of the robot while the person's stand, mm/s, root mean square, level.
+- slip: heels and toes of the robot while the person's stand, mm/s, root mean square, level; of
+  hands while the person's rest on the ground.
 - below: deepest point of soles and capsules under the ground, mm; overlap: of two links, mm.
 - limits: joints beyond a limit, degrees; speed: the fastest joint, rad/s.
 - frames a second: on one core, without reading and writing.
@@ -65,6 +66,7 @@ def row_of(program: str, name: str, result: RobotRetargeting, seconds: float) ->
         "direction": float(every.mean()),
         "direction free": float(free.mean()),
         "slip": 1e3 * quality.slip,
+        "slip of hands": 1e3 * quality.palm_slip,
         "below": 1e3 * quality.penetration,
         "overlap": 1e3 * quality.overlap,
         "limits": float(np.rad2deg(max(beyond, 0.0))),

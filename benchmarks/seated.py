@@ -1,11 +1,10 @@
-"""How near do seated dimensions of a body from standing measurements come to those of the person?
+"""How accurate are seated dimensions of a body made from standing measurements?
 
     python benchmarks/seated.py SURVEY_FOLDER [--people 100]
 
-SURVEY_FOLDER holds the two public tables of ANSUR II. Of every sixth soldier, as they come, so many
-of each sex, the likeliest body is made from all that the survey measured standing (no seated
-measure among them), sits (`habitus.body.seated`), and its seated dimensions are held against the
-soldier's: mean error, standard deviation, RMSE (mm), correlation, and the RMSE of a linear
+SURVEY_FOLDER holds the two public tables of ANSUR II. For ``--people`` of every sixth soldier of each
+sex the most likely body is made from all standing measurements of the survey and seated
+(`habitus.body.seated`); its seated dimensions are compared with the soldier's: mean error, standard deviation, RMSE (mm), correlation, and the RMSE of a linear
 regression of the seated measure on the same standing ones over the other soldiers of the sex. A
 measure counts as good where the RMSE of both sexes is at most 15 mm.
 
@@ -102,7 +101,7 @@ def judge(folder: Path, people: int) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def _regressed(standing: np.ndarray, seated: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """What a linear regression on all others says of these, (N, M)."""
+    """Predictions (N, M; m) of a linear regression on all other soldiers."""
     x = np.column_stack([standing, np.ones(len(standing))])
     rest = np.setdiff1d(np.arange(len(x)), rows)
     return x[rows] @ np.linalg.lstsq(x[rest], seated[rest], rcond=None)[0]

@@ -1,5 +1,5 @@
-"""What Windows and macOS do otherwise, played on this system: files in use that cannot be replaced,
-disks that do not tell Walk from walk, consoles that know few letters, workers that are not forked.
+"""Behaviour of Windows and macOS, emulated on this system: files in use that cannot be replaced,
+case-insensitive disks, consoles with small character sets, workers that are not forked.
 """
 
 import ast
@@ -116,8 +116,8 @@ def test_a_long_array_needs_no_call_of_posix(monkeypatch):
 def test_names_that_differ_in_case_are_one_file_where_the_disk_says_so(tmp_path, monkeypatch):
     names = ["Walk", "walk", "run", "re\u0301sume\u0301", "r\u00e9sum\u00e9"]
     assert one_file(names, tmp_path / "out") == []
-    exists = Path.exists
-    monkeypatch.setattr(Path, "exists", lambda self: exists(self) or _by_case(self))
+    exists = os.path.exists
+    monkeypatch.setattr(os.path, "exists", lambda path: exists(path) or _by_case(Path(path)))
     assert set(one_file(names, tmp_path / "out")) == set(names) - {"run"}
     for path in (tmp_path / "in" / "Walk.c3d", tmp_path / "in" / "walk.trc"):
         path.parent.mkdir(exist_ok=True)
@@ -127,6 +127,11 @@ def test_names_that_differ_in_case_are_one_file_where_the_disk_says_so(tmp_path,
     captures = [Capture(name, ("a",), np.zeros((1, 1, 3)), 1.0, "+y") for name in ("Walk", "walk")]
     with pytest.raises(HabitusError, match="Walk, walk"):
         capture_folders(tmp_path / "out", captures, False)
+
+
+def test_a_drive_that_is_missing_has_no_rule_of_names(tmp_path, monkeypatch):
+    monkeypatch.setattr(os.path, "exists", lambda path: False)
+    assert one_file(["Walk", "walk"], tmp_path / "out") == []
 
 
 def _by_case(path: Path) -> bool:
@@ -165,7 +170,7 @@ def test_a_path_with_slashes_is_a_layouts_file(monkeypatch):
         load_layout("mine/cmu-41")
 
 
-def test_every_help_and_answer_fits_a_console_of_few_letters(tmp_path):
+def test_every_help_and_answer_fits_a_console_with_a_small_character_set(tmp_path):
     """Code page 1252 without UTF-8 mode, as a pipe of Windows has it, and ASCII."""
     commands = [[name, "--help"] for name in COMMANDS]
     commands += [["layout", "show"], ["layout", "show", "cmu-41"], ["measure", "female"]]

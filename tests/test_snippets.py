@@ -1,6 +1,6 @@
 """Every command and every piece of Python in the pages: the command line's own parser takes the
-commands, modules, names and arguments exist, and what needs neither minutes nor a stranger's file
-runs here. For the rest `COMMANDS_NOT_RUN` and `PYTHON_NOT_RUN` say why, and which test runs it.
+commands, modules, names and arguments exist, and what needs neither minutes nor other files runs
+here. For the rest `COMMANDS_NOT_RUN` and `PYTHON_NOT_RUN` say why, and which test runs it.
 """
 
 import builtins
@@ -111,8 +111,8 @@ PYTHON_NOT_RUN = {
 }
 """Page and beginning of snippets, likewise."""
 
-STRANGERS = ("apptainer ", "gh ", "helm ", "pip ", "podman ")
-"""Commands of others whose options are theirs."""
+THIRD_PARTY = ("apptainer ", "gh ", "helm ", "pip ", "podman ")
+"""Commands of other programs, with options of their own."""
 
 
 def examples() -> list[tuple[str, str]]:
@@ -199,14 +199,14 @@ def options_of(name: str) -> frozenset[str]:
 def _flags(kind: Any, prefix: str = "") -> Iterator[str]:
     """Options of a dataclass, nested ones as parent.child."""
     for name, field in getattr(kind, "__dataclass_fields__", {}).items():
-        told = prefix + name.replace("_", "-")
+        option = prefix + name.replace("_", "-")
         renamed = [
             given.name
             for given in getattr(field.type, "__metadata__", ())
             if hasattr(given, "name")
         ]
-        yield from (told, f"{prefix}no-{name.replace('_', '-')}", *filter(None, renamed))
-        yield from _flags(field.type, f"{told}.")
+        yield from (option, f"{prefix}no-{name.replace('_', '-')}", *filter(None, renamed))
+        yield from _flags(field.type, f"{option}.")
 
 
 @cache
@@ -224,8 +224,8 @@ def test_options_that_sentences_name_exist():
     every = frozenset.union(*map(options_of, COMMANDS), other_options())
     for page, line, text in inline():
         if page == "CHANGELOG.md":
-            continue  # it tells of older names, too
-        if text.startswith(STRANGERS):
+            continue  # it also has older names
+        if text.startswith(THIRD_PARTY):
             continue
         command = re.match(r"habitus ([a-z][a-z-]+)(?=\s|$)", text)
         if command and command[1] not in COMMANDS:
@@ -317,8 +317,8 @@ def _type_errors(folder: Path) -> list[str]:
     found = []
     for error in json.loads(run.stdout)["generalDiagnostics"]:
         name = re.match(r'"(\w+)" is not defined', error["message"])
-        stranger = re.match(r'Import "(maya|unreal|bpy)', error["message"])
-        if error["severity"] == "error" and not stranger and not (name and name[1] in YOURS):
+        program = re.match(r'Import "(maya|unreal|bpy)', error["message"])
+        if error["severity"] == "error" and not program and not (name and name[1] in YOURS):
             at = error["range"]["start"]["line"] + 1
             found.append(f"{Path(error['file']).name}:{at}: {error['message']}")
     return sorted(found)

@@ -1,10 +1,10 @@
-"""Builds wheel and sdist and tries both where nothing else is:
+"""Build the wheel and the sdist and try both in empty environments:
 
 python tools/release.py dist [--python python3.12 …] [--tag v0.1.0] [--notes notes.md]
 python tools/release.py dist --built          # tries what another machine built
 
 For each Python: an empty environment, the wheel or the sdist from its file, all else from the
-package index; then, away from the checkout, `habitus --version`, `habitus doctor` and the demo,
+package index; then, outside the checkout, `habitus --version`, `habitus doctor` and the demo,
 which makes a capture and fits it. With a tag, its version has to be the package's and to have a
 dated section in CHANGELOG.md, which --notes writes. Nothing is uploaded:
 .github/workflows/release.yml does that.
@@ -27,7 +27,7 @@ NEEDED = (
     "habitus/report/web/page.html",
     "habitus/py.typed",
 )
-"""What a wheel without which nothing works must hold."""
+"""Files and folders that a wheel must have."""
 
 
 def main() -> None:
@@ -65,7 +65,7 @@ def release_notes(tag: str, version: str, changes: str) -> str:
         sys.exit(f"CHANGELOG.md has no section '## {version}, YYYY-MM-DD'; date it")
     notes = re.split(r"^## ", changes[heading.end() :], flags=re.MULTILINE)[0].strip()
     if not notes:
-        sys.exit(f"CHANGELOG.md says nothing of {version}")
+        sys.exit(f"the section of {version} in CHANGELOG.md is empty; list its changes")
     return f"{notes}\n"
 
 
@@ -87,7 +87,7 @@ def build(out: Path) -> None:
 
 
 def check(wheel: Path) -> None:
-    """SystemExit where a wheel lacks what it needs, or holds what is nobody's business."""
+    """SystemExit where a wheel lacks required files or has unexpected ones."""
     names = zipfile.ZipFile(wheel).namelist()
     lacking = [needed for needed in NEEDED if not any(name.startswith(needed) for name in names)]
     spare = [
@@ -96,7 +96,7 @@ def check(wheel: Path) -> None:
         if not name.startswith("habitus") or name.endswith((".pyc", ".nbi", ".nbc"))
     ]
     if lacking or spare:
-        sys.exit(f"{wheel.name} lacks {lacking} and has {spare[:5]} too much")
+        sys.exit(f"{wheel.name}: missing files {lacking}, unexpected files {spare[:5]}")
 
 
 def try_out(package: Path, python: str) -> None:

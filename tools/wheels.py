@@ -1,4 +1,4 @@
-"""Whether `pip install habitus` finds wheels, for systems that are not here:
+"""Check that `pip install habitus` finds wheels on other systems:
 
 python tools/wheels.py [--python 3.11 3.12 3.13] [--system windows …] [--extra usd …]
 

@@ -1,14 +1,19 @@
-"""Skeletons of somebody else's, made of a body's motion: other names, rest poses, units, orders of
-channels, more joints than ours.
+"""Foreign skeletons made of a body's motion: other names, rest poses, units, orders of channels,
+more joints than ours.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from synthetic_fit import synthetic_fit
 
 from habitus.body.motion import BodyMotion
 from habitus.body.rig import Rig, RigMotion
 from habitus.fit.retarget.legs import skeleton_of
-from habitus.rotations import matrix_from_rotvec
+from habitus.fit.retarget.recipe import turned
+from habitus.io.models.bodies import load_body
+from habitus.rotations import matrix_from_rotvec, up_rotation
 
 SIDES = (("left", "Left"), ("right", "Right"))
 MIXAMO = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2"} | {
@@ -138,3 +143,13 @@ def bvh_text(motion: RigMotion, order: str = "ZXY", positions_last: bool = False
     lines += ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1.0 / motion.rate_hz:.8f}"]
     lines += [" ".join(f"{value:.7f}" for value in row) for row in table]
     return "\n".join(lines) + "\n"
+
+
+def walk_motion() -> BodyMotion:
+    """A motion of the mean person: 60 frames at 60 Hz, y up, the lowest vertex at 0."""
+    made = BodyMotion.of(synthetic_fit(60, rate_hz=60.0))
+    body = load_body("default")
+    pose = made.pose[:, : body.num_joints]
+    motion = BodyMotion(body, np.zeros(body.num_betas), pose, made.trans, 60.0, made.up_axis)
+    motion = replace(turned(motion, up_rotation(made.up_axis)), up_axis="+y")
+    return replace(motion, trans=motion.trans - [0.0, motion.vertices()[..., 1].min(), 0.0])

@@ -3,20 +3,23 @@ hold, and what independent programs say of the same files.
 """
 
 import subprocess
-from dataclasses import replace
+from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_rigs import MIXAMO, bvh_text, foreign
+from foreign_rigs import MIXAMO, bvh_text, foreign, walk_motion
 from made_fbx_character import as_text, write_fbx_character
 from read_blender import PROGRAMS
-from synthetic_fit import synthetic_fit
+from scipy.spatial.transform import Rotation
 
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
+from habitus.export.fbx.character import skin_of_scene
+from habitus.export.fbx.nodes import Node, Value, document, kept
+from habitus.export.fbx.scene import prop
 from habitus.export.fbx.write import write_fbx
-from habitus.fit.retarget.recipe import turned
 from habitus.io.models.bodies import load_body
 from habitus.io.motions.fbx import ORDERS, read_fbx
 from habitus.io.motions.fbx_curves import curve_of
@@ -24,17 +27,11 @@ from habitus.io.motions.fbx_motion import read_fbx_motion
 from habitus.io.motions.fbx_nodes import FbxNode, read_document
 from habitus.io.people import read_motion
 from habitus.jobs.characters import retarget_to_character
-from habitus.rotations import up_rotation
 
 
 @pytest.fixture(scope="module")
 def walk() -> BodyMotion:
-    made = BodyMotion.of(synthetic_fit(60, rate_hz=60.0))
-    body = load_body("default")
-    pose = made.pose[:, : body.num_joints]
-    motion = BodyMotion(body, np.zeros(body.num_betas), pose, made.trans, 60.0, made.up_axis)
-    motion = replace(turned(motion, up_rotation(made.up_axis)), up_axis="+y")
-    return replace(motion, trans=motion.trans - [0.0, motion.vertices()[..., 1].min(), 0.0])
+    return walk_motion()
 
 
 @pytest.mark.parametrize(("name", "joints"), [("default", "smpl"), ("female", "smplx")])
@@ -86,19 +83,59 @@ def test_blenders_export_of_a_bvh_is_the_bvh(walk, scale, axes, tmp_path):
     np.testing.assert_allclose(other.vertices(), one.vertices(), atol=1e-5)
 
 
-@pytest.mark.parametrize("options", [{}, {"scale": 1.0, "unit": 2.54, "version": 7700}])
-def test_transformations_are_those_of_ufbx(options, tmp_path):
-    """With pivots, PreRotation, PostRotation and all rotation orders."""
+def edited(source: Path, target: Path, change: Callable[[Node], Node]) -> None:
+    """Write a binary FBX file again with every node changed."""
+    read = read_document(source.read_bytes())
+
+    def again(node: Node) -> Node:
+        return change(Node(node.name, node.values, list(map(again, node.nodes)), node.scope))
+
+    nodes = [again(kept(node)) for node in read.nodes]
+    target.write_bytes(document(nodes, read.version))
+
+
+def _property(name: str, *values: Value) -> Callable[[Node], Node]:
+    """A change of one property."""
+
+    def change(node: Node) -> Node:
+        words = node.values
+        is_it = node.name == "P" and bytes(words[0])[5:] == name.encode()
+        return Node("P", (*words[:4], *values)) if is_it else node
+
+    return change
+
+
+def of_ufbx(path: Path) -> dict[str, np.ndarray]:
+    """World matrices of a file's nodes by name, evaluated by ufbx; skips where it is missing."""
     ufbx = pytest.importorskip("ufbx", reason="no pyufbx here: pip install pyufbx")
-    write_fbx_character(tmp_path / "a.fbx", **options)
-    scene = read_fbx(tmp_path / "a.fbx")
-    assert {model.order for model in scene.models} == set(ORDERS)
+    with ufbx.load_file(str(path)) as theirs:
+        return {node.name: np.array(node.node_to_world).T for node in theirs.nodes}
+
+
+def check_transformations(path: Path) -> None:
+    """The nodes of a file are where ufbx has them."""
+    scene, matrices = read_fbx(path), of_ufbx(path)
     linear, places = scene.world(scene.at_rest())
-    with ufbx.load_file(str(tmp_path / "a.fbx")) as theirs:
-        matrices = {node.name: np.array(node.node_to_world).T for node in theirs.nodes}
     for k, model in enumerate(scene.models):
         np.testing.assert_allclose(linear[k], matrices[model.name][:3, :3], atol=1e-9)
         np.testing.assert_allclose(places[k], matrices[model.name][:3, 3], atol=1e-9)
+
+
+@pytest.mark.parametrize("options", [{}, {"scale": 1.0, "unit": 2.54, "version": 7700}])
+def test_transformations_are_those_of_ufbx(options, tmp_path):
+    """With pivots, PreRotation, PostRotation and all rotation orders."""
+    write_fbx_character(tmp_path / "a.fbx", step=40, **options)
+    assert {model.order for model in read_fbx(tmp_path / "a.fbx").models} == set(ORDERS)
+    check_transformations(tmp_path / "a.fbx")
+
+
+@pytest.mark.parametrize("inherit", [0, 1, 2])
+def test_uneven_scales_are_inherited_as_by_ufbx(inherit, tmp_path):
+    write_fbx_character(tmp_path / "a.fbx", step=40)
+    inherits = _property("InheritType", inherit)
+    scales = _property("Lcl Scaling", 0.8, 1.3, 1.1)
+    edited(tmp_path / "a.fbx", tmp_path / "b.fbx", lambda node: scales(inherits(node)))
+    check_transformations(tmp_path / "b.fbx")
 
 
 CHARACTERS = [
@@ -272,7 +309,74 @@ def test_what_cannot_be_read_is_refused(walk, tmp_path):
             read_fbx_motion(path)
         assert str(path) in str(error.value)
     write_fbx_character(path)
-    with pytest.raises(HabitusError, match="no animation turns its joints"):
+    with pytest.raises(HabitusError, match="no animation rotates its joints"):
         read_fbx_motion(path)
     with pytest.raises(HabitusError, match=r"expected \.fbx for the character"):
         retarget_to_character(walk, path, out=tmp_path / "b.glb")
+
+
+def test_a_geometric_transformation_moves_the_mesh_alone(tmp_path):
+    """3ds Max keeps an object's offset as one: the same character with its vertices moved back."""
+    write_fbx_character(tmp_path / "a.fbx", step=4)
+    scaling, angles, shift = np.array([2.0, 0.5, 1.5]), [20.0, -30.0, 40.0], np.array([3.0, 5, -2])
+    turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    names = ("GeometricTranslation", "GeometricRotation", "GeometricScaling")
+
+    def offset(node: Node) -> Node:
+        if node.name == "Vertices":
+            points = FbxNode("Vertices", (bytes(node.values[0]),)).array().reshape(-1, 3)
+            return Node("Vertices", (((points - shift) @ turn / scaling).ravel(),))
+        if node.name == "Model" and bytes(node.values[2]).endswith(b"Mesh"):
+            added = [
+                prop(name, "Vector3D", "Vector", "", *map(float, values))
+                for name, values in zip(names, (shift, angles, scaling), strict=True)
+            ]
+            given = [Node(n.name, n.values, [*n.nodes, *added], n.scope) for n in node.nodes[1:]]
+            return Node(node.name, node.values, [node.nodes[0], *given], node.scope)
+        return node
+
+    edited(tmp_path / "a.fbx", tmp_path / "b.fbx", offset)
+    one, other = (skin_of_scene(read_fbx(tmp_path / name)) for name in ("a.fbx", "b.fbx"))
+    np.testing.assert_allclose(other.vertices, one.vertices, atol=1e-9)
+
+
+def test_a_curve_is_read_once(tmp_path, monkeypatch):
+    """However many stacks, layers and nodes of a malicious file name it."""
+    write_fbx_character(tmp_path / "a.fbx", step=40, frames=5)
+
+    def repeated(node: Node) -> Node:
+        if node.name in ("Connections", "Objects"):
+            return Node(node.name, node.values, [*node.nodes] * 20, node.scope)
+        return node
+
+    edited(tmp_path / "a.fbx", tmp_path / "b.fbx", repeated)
+    calls = []
+    monkeypatch.setattr(
+        "habitus.io.motions.fbx_motion.curve_of", lambda *a: calls.append(a) or curve_of(*a)
+    )
+    one, other = (read_fbx_motion(tmp_path / name) for name in ("a.fbx", "b.fbx"))
+    np.testing.assert_array_equal(one.turns, other.turns)
+    assert len(calls) == 12  # two shoulders, three axes, two files
+
+
+def _first(name: str, *values: Value) -> Callable[[Node], Node]:
+    return lambda node: Node(name, values, node.nodes) if node.name == name else node
+
+
+@pytest.mark.parametrize(
+    ("message", "change"),
+    [
+        ("not three finite numbers each", _first("Vertices", np.zeros(301))),
+        ("TransformLink has no inverse", _first("TransformLink", np.zeros(16))),
+        ("UnitScaleFactor -1; expected a positive", _property("UnitScaleFactor", -1.0)),
+        ("left-handed axes", _property("CoordAxisSign", -1)),
+        ("rotation order 6", _property("RotationOrder", 6)),
+    ],
+)
+def test_a_damaged_character_is_refused_with_its_name(walk, message, change, tmp_path):
+    write_fbx_character(tmp_path / "a.fbx", step=4)
+    edited(tmp_path / "a.fbx", tmp_path / "b.fbx", change)
+    with pytest.raises(HabitusError, match=message) as error:
+        retarget_to_character(walk, tmp_path / "b.fbx", out=tmp_path / "c.fbx")
+    assert str(error.value).count(str(tmp_path / "b.fbx")) == 1
+    assert not (tmp_path / "c.fbx").exists()

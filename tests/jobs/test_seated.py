@@ -73,6 +73,8 @@ def test_both_levels_of_detail_agree():
 def test_files(tmp_path):
     measured = measure_file("male", posture="seated")
     assert "not simulated" in measured.notes[0]
+    unreliable = measured.notes[1].removeprefix("not reliable: ").split(", ")
+    assert len(unreliable) == 3 and set(unreliable) < set(measured.values)
     measured.save(tmp_path / "a.json")
     measured.save(tmp_path / "a.csv")
     facts = json.loads((tmp_path / "a.json").read_text())
@@ -83,5 +85,8 @@ def test_files(tmp_path):
     assert len(rows) >= len(SEATED)
     with pytest.raises(HabitusError, match="pattern programs take standing people"):
         measured.save(tmp_path / "a.smis")
+    with pytest.raises(HabitusError, match="seated dimensions have no picture"):
+        measured.draw(tmp_path / "a.svg")
+    assert measured.segment_rows() == measure_file("male").segment_rows()
     with pytest.raises(HabitusError, match="expected one of standing, seated"):
         measure_file("male", posture="lying")

@@ -352,7 +352,7 @@ class Measured:
 
     @cached_property
     def seated_kit(self) -> SeatedKit | None:
-        """What is looked at when the body sits; None for hands, animals and bodies without arms."""
+        """The kit of seated dimensions; None for hands, animals and bodies without arms."""
         return lay_seated(self)
 
     def measure(

@@ -1,10 +1,10 @@
-"""What ergonomists measure of a person who sits: ISO 7250-1's seated dimensions.
+"""Seated body dimensions of ISO 7250-1.
 
 The person sits upright on a level plane: thighs level and straight ahead, shanks upright, feet
-flat, upper arms hanging, forearms level and straight ahead with the palms to each other. Each
-person is posed by their own joints. The body function moves the skin; flesh under load is not
-simulated: buttocks and thighs are as round as if nothing were below them, and the seat is a plane
-through them at a fixed share of stature below the hips.
+flat, upper arms hanging, forearms level and straight ahead with the palms to each other. Joint
+rotations follow from each person's own joints. The body function moves the skin; flesh under load
+is not simulated: buttocks and thighs keep their unloaded shape, and the seat is a plane through
+them at a fixed share of stature below the hips. Judged on adults only (`benchmarks/seated.py`).
 """
 
 from collections.abc import Mapping
@@ -73,7 +73,10 @@ SEATED = MappingProxyType(
         ),
     }
 )
-"""Names end as those of `habitus.body.measurement_names`; of each what, ISO 7250-1, ANSUR II."""
+"""By name, with the unit as suffix: definition, ISO 7250-1's term, ANSUR II's column."""
+UNRELIABLE = ("elbow_rest_height_m", "abdominal_depth_sitting_m", "forearm_forearm_breadth_m")
+"""Dimensions whose errors are too large for use (``benchmarks/seated.py``): arms hang at one angle
+instead of resting on the trunk."""
 SEAT = 0.052
 """Share of stature by which the seat is below the centres of the hips: people sit on their ischia,
 and the flesh below these gives way. Fitted to four heights above the seat of 200 soldiers of ANSUR
@@ -90,7 +93,7 @@ _THIGH = (0.15, 0.85)
 
 @dataclass(frozen=True, eq=False)
 class SeatedKit:
-    """Vertices of a body that are looked at when it sits; those of limbs one array a side.
+    """Vertices from which seated dimensions are measured; for limbs one array per side.
 
     ``hollow``: the vertex behind each knee's centre. ``marks``: acromion, eye, fingertip by side.
     """
@@ -158,7 +161,7 @@ class SeatedKit:
         return {name: float(found[name]) for name in SEATED if name in found}
 
     def _belly(self, y: np.ndarray, z: np.ndarray, above: float) -> float:
-        """From the foremost place of the trunk above the thighs to the back at its level."""
+        """Depth (m) of the trunk at its foremost point above the thighs."""
         rows = self.trunk[y[self.trunk] > above]
         front = rows[z[rows].argmax()]
         level = self.trunk[np.abs(y[self.trunk] - y[front]) < 0.02]
@@ -177,7 +180,7 @@ def _between(z: np.ndarray, hip: float, knee: float) -> np.ndarray:
 def seated_pose(
     at: Mapping[str, Float[np.ndarray, " 3"]],
 ) -> dict[str, tuple[float, float, float]]:
-    """The posture of a person whose joints at rest are ``at`` (m, by name): rotation vectors."""
+    """Rotation vectors of the seated posture, by joint; at: the person's joints at rest (m)."""
     pose = {}
     for side, sign in (("left_", -1.0), ("right_", 1.0)):
         joint = {name: at[f"{side}{name}"] for name in _JOINTS}
@@ -198,7 +201,7 @@ def _about_z(angle: float) -> Float[np.ndarray, "3 3"]:
 
 
 def _turn(one: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The least rotation from a direction to a unit direction."""
+    """The smallest rotation from a direction to a unit direction."""
     one = one / np.linalg.norm(one)
     axis = np.cross(one, other)
     sine = np.linalg.norm(axis)
@@ -207,7 +210,7 @@ def _turn(one: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> Float
 
 
 def lay_seated(body: Any) -> SeatedKit | None:
-    """What measures this body when it sits; None where it lacks the joints."""
+    """The kit of a body; None where it lacks joints of arms or legs."""
     if not {f"{side}{name}" for side in SIDES for name in _JOINTS} <= set(body.joint_names):
         return None
     template = body.v_template

@@ -68,10 +68,10 @@ def shown_stem(path: Path) -> str:
 
 
 def escaped(name: str) -> str:
-    """A file's name with escapes for the bytes that are no UTF-8."""
+    """A file's name, with escapes for bytes that are not UTF-8."""
     try:
         encoded = os.fsencode(name)
-    except UnicodeEncodeError:  # a locale of few letters
+    except UnicodeEncodeError:  # the locale's encoding lacks a character
         encoded = name.encode("utf-8", "surrogatepass")
     return encoded.decode("utf-8", "backslashreplace")
 
@@ -99,22 +99,22 @@ def file_name(text: str, where: str = "") -> str:
 
 
 def name_key(folder: Path) -> Callable[[str], str]:
-    """What two names have in common that are one file in a folder: on most disks of Windows and
-    macOS, names that differ in case alone, or in how their letters are composed.
+    """A key that is equal for names of the same file in a folder: most disks of Windows and macOS
+    ignore case and how letters are composed. The folder need not exist.
     """
-    there = next(
-        place for place in (folder.absolute(), *folder.absolute().parents) if place.exists()
+    named = (
+        place
+        for place in (folder.absolute(), *folder.absolute().parents)
+        if place.name.swapcase() != place.name and os.path.exists(place)
     )
-    named = next(
-        (place for place in (there, *there.parents) if place.name.swapcase() != place.name), None
-    )
-    if named is None or not named.with_name(named.name.swapcase()).exists():
+    there = next(named, None)
+    if there is None or not os.path.exists(there.with_name(there.name.swapcase())):
         return str
     return lambda name: unicodedata.normalize("NFC", name).casefold()
 
 
 def one_file(names: Sequence[str], folder: Path) -> list[str]:
-    """The names that would share a file in a folder with another of them."""
+    """Those of the names that would be the same file in a folder as another one."""
     key = name_key(folder)
     counts = Counter(map(key, names))
     return sorted({name for name in names if counts[key(name)] > 1})

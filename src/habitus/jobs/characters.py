@@ -43,19 +43,19 @@ def retarget_to_character(
     out: PathLike | None = None,
     settings: RetargetSettings | None = None,
 ) -> CharacterMotion:
-    """A motion on a rigged character, whose mesh, skin and materials stay as they are.
+    """A motion on a rigged character; mesh, skin and materials are kept.
 
     source: a fit, a motion, or the file of one. character: a .glb, .gltf, .vrm or .fbx with a
-    skinned mesh; its joints are known by names in use or by the tree. body: the model of an npz
-    that names none. out: the character's file with one animation more, .glb or .vrm of glTF, .fbx
-    of FBX. Raises HabitusError.
+    skinned mesh; its joints are identified by common names or by the tree. body: the model of an
+    npz that names none. out: the file to write, with the animation added: .glb or .vrm for glTF,
+    .fbx for FBX. Raises HabitusError.
     """
     path = Path(character)
     if out is not None:
         check_character_path(path, out)
     motion = BodyMotion.of(motion_of(source, body))
-    rig, skin, write = _opened(path)
     try:
+        rig, skin, write = _opened(path)
         with one_blas_thread():
             built = character_of(rig, skin, path.stem)
             upright = turned(motion, up_rotation(motion.up_axis))
@@ -68,7 +68,7 @@ def retarget_to_character(
 
 
 def _opened(path: Path) -> tuple[Rig, Skin, Write]:
-    """Skeleton and skin of a character's file, and what writes it with a motion more."""
+    """Skeleton and skin of a character's file, and the function that writes it with a motion."""
     if path.suffix.lower() in FBX:
         scene = read_fbx(path)
         return rig_of_scene(scene), skin_of_scene(scene), partial(write_character_fbx, scene)
@@ -83,6 +83,6 @@ def check_character_path(character: Path, out: PathLike) -> Path:
     if target.suffix.lower() not in allowed:
         raise HabitusError(
             f"{target}: ending {target.suffix!r}; expected {' or '.join(allowed)} for the "
-            f"character {character.name}, whose mesh and materials are kept in their own format"
+            f"character {character.name}: mesh and materials stay in their own format"
         )
     return target

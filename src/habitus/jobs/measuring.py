@@ -19,7 +19,7 @@ from habitus.body.measurement_names import DEFINITIONS, LEVEL_ARMS, Definition, 
 from habitus.body.measurements import DENSITY, is_closed, surface_area, volume
 from habitus.body.model import BodyModel
 from habitus.body.recentred import is_of, misfit, turned_by
-from habitus.body.seated import SEATED, SEATED_POSTURE
+from habitus.body.seated import SEATED, SEATED_POSTURE, UNRELIABLE
 from habitus.body.segments import SegmentMasses, surface_masses
 from habitus.errors import HabitusError
 from habitus.export.measurements import program_of, write_measurements
@@ -37,7 +37,7 @@ POSE = (
     "the posture says so"
 )
 UNLOADED = (
-    "flesh under load is not simulated; docs/measurements.md says how near each measure comes"
+    "flesh under load is not simulated; docs/measurements.md lists the error of each dimension"
 )
 _SEGMENTS = {
     "pelvis": "trunk", "hip": "thigh", "knee": "shank", "ankle": "foot", "foot": "toes",
@@ -99,14 +99,16 @@ class Measurements:
 
     @cached_property
     def segments(self) -> SegmentMasses | None:
-        """Volume, mass, centre of mass and inertia of each part, of the mass that was measured;
-        None where nothing but a mesh is known.
+        """Volume, mass, centre of mass and inertia of each part at rest, of the whole mass of the
+        person, whatever the posture; None where nothing but a mesh is known.
 
         Raises HabitusError for a surface that is not closed.
         """
         if self.body is None or self.rest_vertices is None:
             return None
-        mass = self.values.get("mass_kg")
+        standing = self.posture == "standing"
+        values = self.values if standing else self.body.measure_rest(self.rest_vertices)
+        mass = values.get("mass_kg")
         source = "volume times the density of adults of such a waist"
         return surface_masses(self.body, self.rest_vertices, mass, source, whole_trunk=True)
 
@@ -175,7 +177,12 @@ class Measurements:
             raise HabitusError(
                 f"cannot draw {target.name}: expected a name in .svg, which browsers open"
             )
-        if self.body is None or self.rest_vertices is None or self.posture != "standing":
+        if self.posture != "standing":
+            raise HabitusError(
+                f"cannot draw {target.name}: expected posture standing; seated dimensions have no "
+                "picture"
+            )
+        if self.body is None or self.rest_vertices is None:
             raise HabitusError(f"{self.source}: no tapes were laid on it, so there is none to draw")
         write_text(target, tape_picture(self.body, self.rest_vertices, self.values))
 
@@ -210,9 +217,9 @@ def measure_file(
     A body model (npz, pkl; its mean person), or "default", "female", …; an npz with ``betas`` (a
     fit's body.npz, AMASS); a mesh (ply, obj; metres, y up). body: that which betas or mesh belong
     to, where the file does not say it. posture: "standing", or "seated" (`habitus.body.seated`).
-    Of a mesh of a body of habitus all is measured if it is at
-    rest; of another only what needs no anatomy, height and mass. Raises HabitusError for a file
-    that is none of these, and for a posed mesh.
+    Of a mesh of a body of habitus all is measured if it is at rest; of another only what needs no
+    anatomy, height and mass, standing. Raises HabitusError for a file that is none of these, and
+    for a posed mesh.
     """
     source = Path(path)
     if source.suffix.lower() in MESHES:
@@ -225,8 +232,9 @@ def measure_file(
 def _measured(source: str, body: BodyModel, rest: np.ndarray, posture: str) -> Measurements:
     values = body.measure_rest(rest, posture)
     if not values:
-        raise HabitusError(f"{source}: {body.name} has no measurement landmarks; use a human body")
-    notes = (UNLOADED,) if posture == "seated" else ()
+        lacking = "measurement landmarks" if posture == "standing" else "arms and legs to sit with"
+        raise HabitusError(f"{source}: {body.name} has no {lacking}; use a human body")
+    notes = () if posture == "standing" else (UNLOADED, f"not reliable: {', '.join(UNRELIABLE)}")
     return Measurements(source, values, notes, body, rest, posture)
 
 

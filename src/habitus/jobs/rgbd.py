@@ -50,8 +50,8 @@ def fit_rgbd(
     light and albedo.
 
     views: the result of `habitus.read_views`, or the folder it reads. body: a model, a file,
-    "neutral", "female", "male", or "default": the neutral one, or women's or men's where the shape
-    is read as theirs and they explain the views better. ``turns``: None where unknown. Raises
+    "neutral", "female", "male", or "default": the neutral one, or that of the sex as which the
+    neutral shape is classified, whichever has the lower cost. ``turns``: None where unknown. Raises
     HabitusError for folders without views, and where no person is found in one.
     """
     capture = views if isinstance(views, RgbdCapture) else read_views(views)

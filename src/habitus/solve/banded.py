@@ -32,15 +32,15 @@ TOGETHER = 4
 AROUND = 12
 """Frames on either side of one that moves which go on with it."""
 CLIPPED = 0.02
-"""A step that leads farther beyond a bound is solved again with that unknown on its bound, and the
-frames around it."""
+"""Where a step exceeds a bound by more than this, the frames around are solved again with that
+unknown on its bound."""
 DOUBTFUL = 20.0
 """Frames that cost so many times the median are tried again from their neighbours."""
 PATIENCE = 3
 """Steps in a row that may raise the cost: bounds that are met on the way raise it at first."""
 LOOSE = 0.1
-"""Damping up to which a step is as good as undamped: what another one could gain is then what this
-one's prediction missed, and it need not be taken where that is little."""
+"""Damping up to which a step counts as undamped: another one can then gain at most what this one's
+prediction missed, and is not taken where that is below the tolerance."""
 GOOD, POOR = 0.25, 0.75
 """Relative surprise of a frame's cost that lowers and that raises its damping."""
 

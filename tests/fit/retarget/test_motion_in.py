@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_rigs import MIXAMO, a_pose, along_x, bvh_text, foreign
-from synthetic_fit import synthetic_fit
+from foreign_rigs import MIXAMO, a_pose, along_x, bvh_text, foreign, walk_motion
 
 from habitus.body.measurements import find_soles
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
 from habitus.export.bvh import write_bvh
 from habitus.fit.retarget.legs import skeleton_of
-from habitus.fit.retarget.recipe import RETARGET, turned
+from habitus.fit.retarget.recipe import RETARGET
 from habitus.fit.retarget.rig_matching import match_rig
 from habitus.fit.retarget.rig_motions import stand_slip
 from habitus.fit.retarget.rig_names import TABLES
@@ -29,13 +28,7 @@ NAMELESS = {ours: f"bone {k}" for k, ours in enumerate(MIXAMO)}
 
 @pytest.fixture(scope="module")
 def walk() -> BodyMotion:
-    made = BodyMotion.of(synthetic_fit(60, rate_hz=60.0))
-    body = load_body("default")
-    pose = made.pose[:, : body.num_joints]
-    motion = BodyMotion(body, np.zeros(body.num_betas), pose, made.trans, 60.0, made.up_axis)
-    motion = replace(turned(motion, up_rotation(made.up_axis)), up_axis="+y")
-    floor = motion.vertices()[..., 1].min()
-    return replace(motion, trans=motion.trans - [0.0, floor, 0.0])
+    return walk_motion()
 
 
 def _read(folder: Path, motion, **options) -> BodyMotion:

@@ -1,6 +1,4 @@
-"""Somebody's FBX character with a new animation: mesh, skin, materials and older animations stay as
-they are, value by value.
-"""
+"""A rigged FBX character with an added animation; every object of the file is kept unchanged."""
 
 from collections.abc import Iterator, Mapping
 
@@ -14,7 +12,7 @@ from habitus.export.fbx.nodes import Node, document, kept
 from habitus.export.fbx.scene import TICKS, Objects, ticks
 from habitus.files import atomic_write
 from habitus.fit.retarget.characters import CharacterMotion, Skin, node_tracks
-from habitus.io.motions.fbx import FbxScene, form_of, name_of
+from habitus.io.motions.fbx import FbxScene, form_of, geometric, name_of
 from habitus.io.motions.fbx_motion import matrix_of, rest_of
 from habitus.io.motions.fbx_nodes import FbxNode
 from habitus.io.motions.sampling import turns_of
@@ -23,16 +21,16 @@ from habitus.types import PathLike
 
 OUT = ".fbx"
 MAX_INFLUENCES = 8
-OFF = 0.01
-"""Metres by which joints in the written file may be away from where they were solved."""
+MAX_ERROR = 0.01
+"""Largest distance (m) of joints in the written file from their solved places."""
 
 
 # -- the skin --------------------------------------------------------------------------------------
 
 
 def skin_of_scene(scene: FbxScene) -> Skin:
-    """All skinned vertices of a scene at rest, in metres and its world, joints by the numbers of
-    its models. Raises HabitusError where it has none.
+    """All skinned vertices of a scene at rest, in metres and the file's world axes; joints are
+    indices of ``scene.models``. Raises HabitusError where there are none.
     """
     parts = [part for part in _skinned(scene) if len(part[0])]
     if not parts:
@@ -42,21 +40,24 @@ def skin_of_scene(scene: FbxScene) -> Skin:
 
 
 def _skinned(scene: FbxScene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Vertices at rest, joints and weights of each mesh."""
+    """Vertices at rest (in the file's unit), joints and weights of each mesh."""
     linear, places, _ = rest_of(scene)
     at = {model.number: k for k, model in enumerate(scene.models)}
+    meshes = {child: above for child, above, _ in scene.links if _is_model(scene, above)}
     for number, node in scene.objects.items():
         given = node.first("Vertices") if node.name == "Geometry" else None
         if given is None:
             continue
-        points = given.array().astype(np.float64).reshape(-1, 3)
-        if not (np.abs(points) < 1e9).all():
-            raise HabitusError("vertices that are no finite numbers; export the file again")
+        points = _points(given)
+        if number in meshes:
+            points = geometric(scene.objects[meshes[number]], points)
         moved, total = np.zeros_like(points), np.zeros(len(points))
         influences = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
         for joint, indices, values, matrix in _clusters(scene, number, at):
             if len(indices) and not 0 <= indices.min() <= indices.max() < len(points):
-                raise HabitusError("a cluster of vertices that the mesh lacks; export it again")
+                raise HabitusError(
+                    "a cluster has vertices beyond its mesh's; export the file again"
+                )
             there = points[indices] @ matrix[:3, :3].T + matrix[:3, 3]
             there = there @ linear[joint].T + places[joint]
             np.add.at(moved, indices, values[:, None] * there)
@@ -65,6 +66,18 @@ def _skinned(scene: FbxScene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarr
         used = np.flatnonzero(total > 1e-6)
         index, value = _strongest(influences, len(points))
         yield moved[used] / total[used, None], index[used], value[used]
+
+
+def _is_model(scene: FbxScene, number: int) -> bool:
+    return number in scene.objects and scene.objects[number].name == "Model"
+
+
+def _points(node: FbxNode) -> Float[np.ndarray, "V 3"]:
+    """The vertices of a mesh. Raises HabitusError."""
+    numbers = node.array().astype(np.float64)
+    if len(numbers) % 3 or not (np.abs(numbers) < 1e9).all():
+        raise HabitusError("vertices that are not three finite numbers each; export the file again")
+    return numbers.reshape(-1, 3)
 
 
 def _strongest(
@@ -100,7 +113,7 @@ def _clusters(
             indices = inside["Indexes"].array().astype(np.int64)
             weights = inside["Weights"].array().astype(np.float64)
             if len(indices) != len(weights) or not (np.abs(weights) < 1e6).all():
-                raise HabitusError("a cluster whose weights do not fit; export the file again")
+                raise HabitusError("a cluster has invalid weights; export the file again")
             yield joints[0], indices, np.maximum(weights, 0.0), matrix_of(inside["Transform"])
 
 
@@ -110,20 +123,23 @@ def _clusters(
 def write_character_fbx(
     scene: FbxScene, moved: CharacterMotion, path: PathLike, name: str = "habitus"
 ) -> None:
-    """Write a character's file with one animation more, which is the active one, atomically.
+    """Write a character's file with an added, active animation, atomically.
 
-    Matched joints turn about their places in their parents, the pelvis moves; other joints rest.
-    Raises HabitusError for text files, and where bones are scaled so that joints would not be
-    where they were solved.
+    Matched joints rotate, the pelvis also moves, other joints keep their rest pose. Raises
+    HabitusError for text files, and where scaled bones put a joint more than `MAX_ERROR` off its
+    solved place.
     """
     if scene.document.text:
-        raise HabitusError(
-            f"{scene.path}: a text FBX, which is read and not written; save it as binary FBX"
-        )
+        raise HabitusError(f"{scene.path}: text FBX cannot be written; save it as binary FBX")
     parts = _parts(scene, moved)
     frames, rate = len(parts), moved.motion.rate_hz
     name = _unused(scene, name)
-    objects = Objects(max([1_000_000, *scene.objects]) + 1)
+    last = max([1_000_000, *scene.objects])
+    if last > 1 << 62:
+        raise HabitusError(
+            f"object number {last}; expected at most {1 << 62}; export the file again"
+        )
+    objects = Objects(last + 1)
     curves = Curves(objects, name, frames, rate * TICKS / scene.second)
     for k, model in enumerate(scene.models):
         number = np.int64(model.number)
@@ -167,17 +183,17 @@ def _parts(scene: FbxScene, moved: CharacterMotion) -> Float[np.ndarray, "T N 3 
 
 
 def _check(scene: FbxScene, moved: CharacterMotion, parts: np.ndarray) -> None:
-    """Raise HabitusError where the file's own bones do not reach the places that were solved."""
+    """Raise HabitusError where joints of the file are off their solved places."""
     chosen = list(moved.character.joints)
     setting = moved.character.setting
     there = scene.scale * scene.world(parts)[1][:, chosen]
     solved = moved.motion.joints() @ setting.upright / setting.scale
     off = setting.scale * np.linalg.norm(there - solved, axis=-1).max(axis=0)
-    if off.max() > OFF:
+    if off.max() > MAX_ERROR:
         worst = scene.models[chosen[int(off.argmax())]].name
         raise HabitusError(
-            f"{worst} would be {1e3 * off.max():.0f} mm from its place, as bones of this file are "
-            "scaled or moved against their bind pose; apply scale and pose, export it again"
+            f"{worst} would be {1e3 * off.max():.0f} mm off its solved place: bones are scaled or "
+            "moved relative to their bind pose; apply scale and pose, export the file again"
         )
 
 
@@ -193,7 +209,7 @@ def _unused(scene: FbxScene, name: str) -> str:
 
 
 def _extended(node: Node, objects: Objects, name: str, end: np.int64) -> Node:
-    """A top node with what the new animation adds to it."""
+    """A top node, extended by the new animation."""
     if node.name == "Objects":
         return Node(node.name, node.values, [*node.nodes, *objects.nodes])
     if node.name == "Connections":
@@ -211,7 +227,7 @@ def _extended(node: Node, objects: Objects, name: str, end: np.int64) -> Node:
 
 
 def _counted(node: Node, objects: Objects) -> Node:
-    """How many objects there are of each kind, with those that are new."""
+    """The numbers of objects by type, with the new ones counted."""
     left = dict(objects.kinds)
     total = sum(left.values())
     nodes = []
@@ -236,7 +252,9 @@ def _read(node: Node) -> FbxNode:
 
 def _more(node: Node, extra: int) -> Node:
     count = _read(node).value()
-    return Node(node.name, (count + extra,)) if type(count) is int else node
+    if type(count) is int and 0 <= count < 1 << 30:
+        return Node(node.name, (count + extra,))
+    return node
 
 
 def _active(node: Node, name: str) -> Node:

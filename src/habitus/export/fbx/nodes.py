@@ -61,7 +61,7 @@ class Node:
 
 
 def kept(node: FbxNode) -> Node:
-    """A node of a file that was read, to be written as it was."""
+    """A node of a file that was read, with its values unchanged."""
     return Node(
         node.name, tuple(map(Packed, node.encoded)), tuple(map(kept, node.nodes)), node.scope
     )
@@ -81,8 +81,8 @@ def packed(array: np.ndarray) -> Packed:
 
 
 def document(nodes: Sequence[Node], version: int = VERSION, footer_id: bytes = _FOOTER_ID) -> bytes:
-    """A whole file of these top nodes. Raises HabitusError where it would be larger than its
-    offsets can tell.
+    """A whole file of these top nodes. Raises HabitusError where it exceeds the offsets of its
+    version.
     """
     head = struct.Struct("<QQQB" if version >= WIDE else "<IIIB")
     parts = [MAGIC + struct.pack("<I", version)]
@@ -98,7 +98,7 @@ def document(nodes: Sequence[Node], version: int = VERSION, footer_id: bytes = _
 
 
 def _encoded(node: Node, at: int, head: struct.Struct) -> bytes:
-    """A node's bytes, that begin ``at`` bytes into the file: ends are told as places in it."""
+    """A node's bytes, which begin ``at`` bytes into the file: ends are offsets in the file."""
     name = node.name.encode("latin-1")
     values = b"".join(map(_value, node.values))
     inside = at + head.size + len(name) + len(values)

@@ -19,7 +19,7 @@ _CREATOR = f"habitus {__version__}"
 
 
 class Objects:
-    """Objects as they are added, numbered from ``first`` on, and what hangs on what."""
+    """Objects in the order of addition, numbered from ``first`` on, and their connections."""
 
     def __init__(self, first: int = 1_000_000) -> None:
         self.nodes: list[Node] = []

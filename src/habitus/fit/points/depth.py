@@ -66,13 +66,13 @@ def fit_state(
 ) -> ViewsFit:
     """Shape, poses and places: E_C + E_D + E_F + E_P + E_S + E_Q (T eq. 4.3), and the outlines.
 
-    bodies: one, or several by name: the first, neutral one finds the start. Where its shape is read
-    as a woman's or a man's (`habitus.body.gender`), that body is tried, and taken if it explains
-    depth better than the first. turns: degrees by which the person is turned in each view, to the
-    person's left; unknown ones are None. start: a pose for each view to begin with in place of
-    trying some, turned by up to 30 degrees otherwise; the translation comes from the person's
-    pixels. Views without a person are left out and named in ``notes``. Raises HabitusError where no
-    view shows a person, and for another number of turns or poses than views.
+    bodies: one, or several by name: the first, neutral one finds the start. The body of the sex as
+    which its shape is classified (`habitus.body.gender`) is tried next, and the one with the lower
+    cost after the coarse stages is fitted. turns: degrees by which the person is turned in each
+    view, to the person's left; unknown ones are None. start: a pose for each view to begin with in
+    place of trying some, turned by up to 30 degrees otherwise; the translation comes from the
+    person's pixels. Views without a person are left out and named in ``notes``. Raises HabitusError
+    where no view shows a person, and for another number of turns or poses than views.
     """
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
@@ -187,17 +187,17 @@ def _coarse(name: str, energy: DepthEnergy, state: BodyState, means: np.ndarray)
 
 
 def _likely_bodies(first: BodyModel, betas: Float[np.ndarray, " B"], names: list[str]) -> list[str]:
-    """Of women's and men's bodies the one that a shape of the first is read as; all of them where
-    it has no classifier.
+    """Names of the bodies to try after the first: that of the sex as which the first body's
+    classifier reads betas, or all of them where it has no classifier.
 
-    Costs alone do not tell sexes apart: a real person lies in neither body's space, and the wider
-    one explains depth better.
+    Costs alone do not determine the sex: a real person lies in neither body's space, and the wider
+    space explains depth better.
     """
     probability = female_probability(first, betas, 0.0)
     if probability is None:
         return names
-    said = "female" if probability > 0.5 else "male"
-    return [name for name in names if name == said]
+    sex = "female" if probability > 0.5 else "male"
+    return [name for name in names if name == sex]
 
 
 def _with_colour(
@@ -248,7 +248,7 @@ def fit_views(
     sex_note = ()
     if not isinstance(bodies, BodyModel):
         name = gender = fit.kind
-        sex_note = (_who(fit),)
+        sex_note = (_who(fit),) if len(bodies) > 1 else ()
     return RgbdFit(
         capture_name=capture.name,
         body_name=name or fit.body.name,
@@ -276,15 +276,15 @@ def fit_views(
 
 
 def _who(fit: ViewsFit) -> str:
-    """Which body was taken, and why."""
+    """The note on the body that was chosen."""
     if fit.kind == next(iter(fit.tried)):
         return (
-            "the views do not determine the sex: the neutral body was kept; choose with --body "
+            "the views do not determine the sex: the neutral body is used; choose one with --body "
             "female or male"
         )
     return (
-        f"the {fit.kind} body explains the views best; --body neutral, female or male "
-        "chooses another"
+        f"the {fit.kind} body explains the views best; choose another with --body neutral, female "
+        "or male"
     )
 
 

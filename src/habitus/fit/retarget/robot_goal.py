@@ -81,8 +81,8 @@ def _palms(
     motion: BodyMotion,
     contacts: ContactSettings,
 ) -> tuple[Float[np.ndarray, "T 2 3"], Bool[np.ndarray, "T 2"]]:
-    """Middles of both hands, and when they are at rest on the ground; never where the body has no
-    hands.
+    """Middles of both hands (m), and the frames in which they rest on the ground: none for a body
+    without hands.
     """
     palms = np.zeros((len(joints), 2, 3))
     for k, side in enumerate(("left", "right")):
@@ -211,7 +211,7 @@ def _pivoting(
 
 
 PALM_HEIGHT = 0.1
-"""Metres over the ground below which the middle of a hand that is still rests on it."""
+"""Height (m) of the middle of a hand below which a still hand rests on the ground."""
 
 
 def palm_prints(
@@ -221,8 +221,8 @@ def palm_prints(
     origin: Float[np.ndarray, " 3"],
     height: float,
 ) -> Float[np.ndarray, "T 3"]:
-    """Where the middle of a hand shall be while it rests on the ground: in one place as long as it
-    does, the mean of its way scaled about ``origin``, at a ``height`` (m).
+    """Targets (m) of the middle of a hand: in each run of ``resting`` frames one point, the mean of
+    its path scaled about ``origin``, at ``height``.
     """
     out = origin + scale * (palm - origin)
     for first, end in runs(resting):

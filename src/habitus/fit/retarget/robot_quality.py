@@ -173,8 +173,8 @@ def _slip(result: RobotRetargeting, links: LinkPoses) -> tuple[float, float]:
 
 
 def _palm_slip(result: RobotRetargeting, links: LinkPoses) -> tuple[float, float]:
-    """Level speed of hands at rest on the ground (m/s, root mean square), seconds of any resting;
-    zeros for a robot whose table has no capsules for them.
+    """Horizontal speed of hands at rest on the ground (m/s, root mean square), and how long (s) any
+    rests; zeros for a robot whose table has no capsules for hands.
     """
     rate = result.motion.rate_hz
     squares, any_rest = [np.zeros(0)], np.zeros(result.motion.num_frames, bool)

@@ -322,7 +322,7 @@ def _sole_points(link: int, sole: Sole, made: Footprints, settings: RobotSetting
 def _palm_points(
     robot: Robot, pairs: RobotPairs, person: Person, scale: float, settings: RobotSettings
 ) -> list[_Point]:
-    """Where hands rest on the ground; none for a robot whose table has no capsules for them."""
+    """Contacts of hands with the ground; none for a robot whose table has no capsules for them."""
     origin = person.hips[0] * (1.0, 1.0, 0.0)
     out = []
     for k, side in enumerate(("left", "right")):

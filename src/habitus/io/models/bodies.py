@@ -424,8 +424,8 @@ def save_body(model: BodyModel, path: str | Path, *, shape_directions: int = 0) 
     ``body.full``: save that by itself. A ``.pkl`` has no hinges; its ``posedirs`` stand in for
     them. Official files have no word for pose blend shapes that are driven by anything but SMPL's
     rotations: such a body goes to a ``.npz`` under the project's own names, which nothing else
-    reads. shape_directions: zero directions are added to the body's own up to so many; ``smplx``
-    takes 10 of an SMPL or SMPL-H with fewer than 300, without a message.
+    reads. shape_directions: zero directions are appended up to this number; the package ``smplx``
+    silently reads only 10 of an SMPL or SMPL-H file with fewer than 300.
 
     Raises HabitusError for such a body's ``.pkl``, for another ending, for added directions of a
     body with more joints than SMPL-H's, or where nothing can be written.

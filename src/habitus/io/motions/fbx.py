@@ -1,4 +1,4 @@
-"""FBX: the scene of a file, binary 7.x or text: its models, how they act, what hangs on what.
+"""The scene of an FBX file (binary 7.x or text): models, transformations, connections.
 
 Formulas of transformations: Autodesk's FBX SDK, "Computing transformation matrices" and the
 comments of ``fbxnode.h`` (RotationActive, InheritType).
@@ -19,7 +19,7 @@ from habitus.io.limits import MAX_NAME_LENGTH, check_joints, read_file
 from habitus.io.motions.fbx_nodes import FbxDocument, FbxNode, FbxValue, read_document
 
 ORDERS = ("xyz", "xzy", "yzx", "yxz", "zxy", "zyx")
-"""Rotation orders by their number: the first axis turns first, about the parent's axes."""
+"""Rotation orders by their number: fixed axes of the parent, first rotation first."""
 TICKS, NEW_TICKS = 46_186_158_000, 141_120_000
 _LIMBS = ("LimbNode", "Limb", "Root")
 
@@ -28,16 +28,15 @@ Properties = Mapping[str, list[FbxValue]]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A node of the scene: how its translation, rotation (degrees) and scaling act.
+    """A node of the scene and the parameters of its transformation, in the file's unit and degrees.
 
-    ``order`` is scipy's, of fixed axes; ``before`` and ``after`` are rotations (3, 3).
+    ``order`` is scipy's, of fixed axes; ``before`` and ``after`` are PreRotation and PostRotation.
     """
 
     number: int
     name: str
-    form: str
     parts: Float[np.ndarray, "3 3"]
-    """Translation, rotation, scaling where no curve moves them."""
+    """Translation, rotation (Euler angles), scaling, where no curve animates them."""
     order: str
     before: Float[np.ndarray, "3 3"]
     after: Float[np.ndarray, "3 3"]
@@ -46,10 +45,9 @@ class Model:
     scaling_offset: Float[np.ndarray, " 3"]
     scaling_pivot: Float[np.ndarray, " 3"]
     inherit: int
-    geometric: Float[np.ndarray, "3 3"]
 
     def turn(self, degrees: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-        """The rotation in the parent of Euler angles."""
+        """Rotations in the parent's axes for Euler angles (degrees)."""
         flat = np.asarray(degrees).reshape(-1, 3)
         columns = flat[:, ["xyz".index(axis) for axis in self.order]]
         turn = Rotation.from_euler(self.order, columns, degrees=True).as_matrix()
@@ -58,22 +56,22 @@ class Model:
     def pivot(
         self, turn: Float[np.ndarray, "*batch 3 3"], scaling: Float[np.ndarray, "*batch 3"]
     ) -> Float[np.ndarray, "*batch 3"]:
-        """What pivots and offsets add to the translation."""
+        """Translation by pivots and offsets, in the parent's axes."""
         inner = self.scaling_offset + self.scaling_pivot * (1.0 - scaling) - self.rotation_pivot
         return self.rotation_offset + self.rotation_pivot + (turn @ inner[..., None])[..., 0]
 
     def local(
         self, parts: Float[np.ndarray, "*batch 3 3"]
     ) -> tuple[Float[np.ndarray, "*batch 3 3"], Float[np.ndarray, "*batch 3"]]:
-        """Rotation and place in the parent for translation, rotation and scaling."""
+        """Rotation and origin in the parent's axes for translation, rotation and scaling."""
         turn = self.turn(parts[..., 1, :])
         return turn, parts[..., 0, :] + self.pivot(turn, parts[..., 2, :])
 
 
 @dataclass(frozen=True, eq=False)
 class FbxScene:
-    """The scene of a file: its objects by number, what hangs on what, and its joints' models in
-    the order of the tree, with all that is above them.
+    """The scene of a file: objects by number, connections, and the models of joints and of their
+    ancestors, parents first.
     """
 
     path: Path
@@ -84,13 +82,13 @@ class FbxScene:
     """(child, parent, property or "")."""
     models: tuple[Model, ...]
     parents: tuple[int, ...]
-    """Of each model, by its place among ``models``; -1 for none."""
+    """Index of each model's parent among ``models``; -1 for none."""
     joints: frozenset[int]
     """Numbers of models that are joints."""
 
     @cached_property
     def below(self) -> dict[int, list[tuple[int, str]]]:
-        """What hangs on an object: (number, property)."""
+        """Children of each object: (number, property)."""
         found: dict[int, list[tuple[int, str]]] = {}
         for child, parent, name in self.links:
             found.setdefault(parent, []).append((child, name))
@@ -98,19 +96,22 @@ class FbxScene:
 
     @property
     def scale(self) -> float:
-        """Metres a unit."""
-        return 0.01 * real_number(self.settings, "UnitScaleFactor", 1.0)
+        """Metres per unit of the file. Raises HabitusError where that is not positive."""
+        unit = real_number(self.settings, "UnitScaleFactor", 1.0)
+        if unit < 0.0:
+            raise HabitusError(f"UnitScaleFactor {unit:g}; expected a positive number")
+        return 0.01 * unit
 
     @property
     def second(self) -> int:
-        """Ticks of the file's clock in a second."""
+        """Ticks per second of the file's clock."""
         return _ticks(self.document)
 
     def world(
         self, parts: Float[np.ndarray, "*batch N 3 3"]
     ) -> tuple[Float[np.ndarray, "*batch N 3 3"], Float[np.ndarray, "*batch N 3"]]:
-        """Linear parts and places of the models in the world, for translations, rotations and
-        scalings.
+        """Linear parts and origins of the models in the world (the file's unit), for translations,
+        rotations (degrees) and scalings.
         """
         shape = parts.shape[:-2]
         linear, places = np.empty((*shape, 3, 3)), np.empty((*shape, 3))
@@ -135,7 +136,7 @@ class FbxScene:
         return linear, places
 
     def at_rest(self) -> Float[np.ndarray, "N 3 3"]:
-        """Translations, rotations and scalings of the models where no curve moves them."""
+        """Translations, rotations and scalings of the models where no curve animates them."""
         return np.array([model.parts for model in self.models]).reshape(-1, 3, 3)
 
 
@@ -191,15 +192,15 @@ def form_of(node: FbxNode) -> str:
 
 
 def _ordered(joints: set[int], parent: Mapping[int, int]) -> list[int]:
-    """Joints and all above them, parents first, branches together."""
+    """Joints and their ancestors, depth first."""
     kept: set[int] = set()
     for joint in joints:
-        way: list[int] = []
+        way: set[int] = set()
         at = joint
         while at and at not in kept:
             if at in way:
-                raise HabitusError("nodes hang on one another in a circle; export it again")
-            way.append(at)
+                raise HabitusError("nodes are each other's parents; export the file again")
+            way.add(at)
             at = parent.get(at, 0)
         kept.update(way)
     children: dict[int, list[int]] = {}
@@ -217,15 +218,15 @@ def _ordered(joints: set[int], parent: Mapping[int, int]) -> list[int]:
 
 
 def clustered(objects: Mapping[int, FbxNode], links: list[tuple[int, int, str]]) -> set[int]:
-    """Models that clusters of skins name."""
+    """Models that influence a skin: those connected to its clusters."""
     clusters = {n for n, node in objects.items() if node.name == "Deformer"}
     return {child for child, above, name in links if above in clusters and not name} - clusters
 
 
 def object_number(value: FbxValue | None) -> int:
-    """A value that is an object's number. Raises HabitusError for others."""
+    """The value, which must be an object's number. Raises HabitusError."""
     if type(value) is not int:
-        raise HabitusError(f"{shown(value, 40)} for an object's number; export the file again")
+        raise HabitusError(f"object number {shown(value, 40)}; expected a whole number")
     return value
 
 
@@ -241,7 +242,7 @@ def properties(node: FbxNode | None) -> Properties:
 
 
 def _templates(document: FbxDocument) -> dict[str, Properties]:
-    """Properties that objects of a kind have where they do not say otherwise."""
+    """Default properties of each type of object."""
     found = {}
     for node in document.nodes:
         for kind in node.all("ObjectType") if node.name == "Definitions" else ():
@@ -250,7 +251,7 @@ def _templates(document: FbxDocument) -> dict[str, Properties]:
 
 
 def real_number(given: Properties, name: str, missing: float) -> float:
-    """One number among properties. Raises HabitusError where it is none."""
+    """A property that is a number; ``missing`` where it is absent or 0. Raises HabitusError."""
     value = given.get(name, [missing])[0]
     if not isinstance(value, int | float) or not 1e-9 <= abs(value) < 1e9:
         return missing if value == 0 else _refused(name, value)
@@ -262,13 +263,13 @@ def _refused(name: str, value: object) -> float:
 
 
 def whole_number(given: Properties, name: str, missing: int) -> int:
-    """One whole number among properties."""
+    """A property that is a whole number; ``missing`` where it is absent or none."""
     value = given.get(name, [missing])[0]
     return int(value) if isinstance(value, int | float) and abs(value) < 1e6 else missing
 
 
 def vector(given: Properties, name: str, missing: float = 0.0) -> Float[np.ndarray, " 3"]:
-    """Three numbers among properties. Raises HabitusError for others."""
+    """A property that is a vector. Raises HabitusError."""
     values = given.get(name, [missing] * 3)[:3]
     if len(values) != 3 or not all(
         isinstance(value, int | float) and abs(value) < 1e9 for value in values
@@ -296,7 +297,6 @@ def _model(number: int, node: FbxNode, default: Properties) -> Model:
     return Model(
         number=number,
         name=name_of(node),
-        form=form_of(node),
         parts=np.array(parts),
         order=ORDERS[order],
         before=turn("PreRotation"),
@@ -306,18 +306,22 @@ def _model(number: int, node: FbxNode, default: Properties) -> Model:
         scaling_offset=vector(given, "ScalingOffset"),
         scaling_pivot=vector(given, "ScalingPivot"),
         inherit=whole_number(given, "InheritType", 0),
-        geometric=np.array(
-            [
-                vector(given, "GeometricTranslation"),
-                vector(given, "GeometricRotation"),
-                vector(given, "GeometricScaling", 1.0),
-            ]
-        ),
     )
 
 
+def geometric(node: FbxNode, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Points of a model's mesh in the model's own axes: its geometric transformation, which moves
+    the mesh alone (3ds Max writes one for an object offset).
+    """
+    given = properties(node)
+    angles = vector(given, "GeometricRotation")
+    turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    scaled = points * vector(given, "GeometricScaling", 1.0)
+    return scaled @ turn.T + vector(given, "GeometricTranslation")
+
+
 def name_of(node: FbxNode) -> str:
-    """An object\'s name."""
+    """An object's name."""
     return str(node.value(1) or "").partition("\0")[0][:MAX_NAME_LENGTH]
 
 

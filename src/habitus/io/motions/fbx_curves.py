@@ -34,7 +34,7 @@ class Curve:
     weights: Float[np.ndarray, "K 2"]
 
     def at(self, times: Float[np.ndarray, " T"], second: float) -> Float[np.ndarray, " T"]:
-        """Values at times (ticks); before the first key and after the last these stay."""
+        """Values at times (ticks), constant before the first key and after the last."""
         left = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
         right = np.minimum(left + 1, len(self.times) - 1)
         span = (self.times[right] - self.times[left]).astype(np.float64)
@@ -52,7 +52,7 @@ class Curve:
     def _cubic(
         self, left: np.ndarray, right: np.ndarray, share: np.ndarray, seconds: np.ndarray
     ) -> np.ndarray:
-        """Bezier segments: the parameter whose time is wanted, then the value there."""
+        """Bezier segments: the parameter at each time by Newton's method, then the value."""
         out, into = self.weights[left].T
         t = share.copy()
         for _ in range(30):
@@ -71,7 +71,7 @@ class Curve:
 
 
 def curve_of(node: FbxNode, second: float) -> Curve | None:
-    """The curve of an AnimationCurve; None where it has no keys. Raises HabitusError."""
+    """The curve of an AnimationCurve; None without keys. second: ticks. Raises HabitusError."""
     parts = {each.name: each for each in node.nodes}
     if "KeyTime" not in parts or "KeyValueFloat" not in parts:
         return None
@@ -82,7 +82,7 @@ def curve_of(node: FbxNode, second: float) -> Curve | None:
     if len(times) != len(values) or not (np.abs(values) < 1e9).all():
         raise HabitusError(f"{len(values)} finite values expected for {len(times)} keys")
     if (np.diff(times) <= 0).any() or (np.abs(times) > 1 << 58).any():
-        raise HabitusError("keys that do not follow one another in time; export it again")
+        raise HabitusError("times of keys do not increase; export the file again")
     flags, data = _attributes(parts, len(times))
     slopes = data[:, :2].astype(np.float64)
     weights = np.full((len(times), 2), _THIRD)
@@ -98,7 +98,7 @@ def curve_of(node: FbxNode, second: float) -> Curve | None:
 
 
 def _attributes(parts: dict[str, FbxNode], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Flags (K,) and data (K, 4) of each key; runs of keys share them. Linear where missing."""
+    """Flags (K,) and data (K, 4) of each key, expanded from runs; linear where absent."""
     names = ("KeyAttrFlags", "KeyAttrDataFloat", "KeyAttrRefCount")
     if any(name not in parts for name in names):
         return np.full(count, _LINEAR), np.zeros((count, 4), "<f4")
@@ -107,7 +107,7 @@ def _attributes(parts: dict[str, FbxNode], count: int) -> tuple[np.ndarray, np.n
         data = data.astype("<i4").view("<f4")
     data = data.astype("<f4")
     if len(data) != 4 * len(flags) or len(runs) != len(flags) or (runs < 0).any():
-        raise HabitusError("attributes of keys that do not fit together; export it again")
+        raise HabitusError("attributes of keys have different lengths; export the file again")
     if int(runs.sum()) != count:
         raise HabitusError(f"attributes of {int(runs.sum())} keys for {count}; export it again")
     return np.repeat(flags.astype(np.int64), runs), np.repeat(data.reshape(-1, 4), runs, axis=0)
@@ -116,7 +116,7 @@ def _attributes(parts: dict[str, FbxNode], count: int) -> tuple[np.ndarray, np.n
 def _automatic(
     times: np.ndarray, values: np.ndarray, flags: np.ndarray, slopes: Float[np.ndarray, "K 2"]
 ) -> Float[np.ndarray, "K 2"]:
-    """Stored slopes with those of automatic tangents in their places."""
+    """Stored slopes, with computed ones for automatic tangents."""
     auto = (flags & (_CONSTANT | _LINEAR | _USER)) == 0
     if not auto.any() or len(times) < 2:
         return slopes

@@ -1,5 +1,7 @@
-"""FBX: the rest pose and the motion of a scene's skeleton."""
+"""Rest pose and motion of the skeleton in an FBX scene."""
 
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +9,6 @@ from jaxtyping import Float
 
 from habitus.body.rig import Rig, RigMotion
 from habitus.errors import HabitusError, shown
-from habitus.io.archives import reason
 from habitus.io.limits import Allowance
 from habitus.io.motions.fbx import (
     FbxScene,
@@ -22,16 +23,19 @@ from habitus.io.motions.fbx import (
 )
 from habitus.io.motions.fbx_curves import Curve, curve_of
 from habitus.io.motions.fbx_nodes import FbxDocument, FbxNode
-from habitus.io.motions.sampling import even_times, turns_of
+from habitus.io.motions.sampling import even_times, reading_animation, turns_of
 
 ENDINGS = (".fbx",)
+_AXES = {"d|X": 0, "d|Y": 1, "d|Z": 2}
 _MOVING = {"Lcl Translation": 0, "Lcl Rotation": 1, "Lcl Scaling": 2}
 _RATES = {1: 120.0, 2: 100.0, 3: 60.0, 4: 50.0, 5: 48.0, 6: 30.0, 7: 30.0, 10: 25.0, 11: 24.0}
 _RATES |= {8: 30 / 1.001, 9: 30 / 1.001, 12: 1000.0, 13: 24 / 1.001, 15: 96.0, 16: 72.0}
 _RATES |= {17: 60 / 1.001, 18: 120 / 1.001}
 _CUSTOM = 14
 SAME = 0.05
-"""Share by which bones of the bind pose may differ from those of the nodes."""
+"""Relative difference up to which bones of the bind pose and of the nodes have the same length."""
+Curves = dict[tuple[int, int, int], Curve]
+"""By model, part (0 translation, 1 rotation, 2 scaling) and axis."""
 
 
 # -- the rest pose ---------------------------------------------------------------------------------
@@ -55,7 +59,7 @@ def up_axis_of(scene: FbxScene) -> str:
 
 
 def bind_matrices(scene: FbxScene) -> dict[int, Float[np.ndarray, "4 4"]]:
-    """Where joints were in the world when their skins were bound, by the models' numbers."""
+    """World matrices of joints in the bind pose, by the models' numbers, in the file's unit."""
     found: dict[int, np.ndarray] = {}
     for node in scene.objects.values():
         if node.name == "Pose" and form_of(node) == "BindPose":
@@ -72,7 +76,7 @@ def bind_matrices(scene: FbxScene) -> dict[int, Float[np.ndarray, "4 4"]]:
 
 
 def matrix_of(node: FbxNode) -> Float[np.ndarray, "4 4"]:
-    """A matrix, columns as the file has them one after another. Raises HabitusError."""
+    """A regular matrix, stored by columns. Raises HabitusError."""
     values = node.array().astype(np.float64)
     if values.shape != (16,) or not (np.abs(values) < 1e9).all():
         raise HabitusError(f"{shown(node.name)} is no matrix; export the file again")
@@ -85,11 +89,11 @@ def matrix_of(node: FbxNode) -> Float[np.ndarray, "4 4"]:
 def rest_of(
     scene: FbxScene,
 ) -> tuple[Float[np.ndarray, "N 3 3"], Float[np.ndarray, "N 3"], tuple[str, ...]]:
-    """Linear parts and places of the models at rest, in the file's unit, and notes.
+    """Linear parts and origins of the models at rest, in the file's unit, and notes.
 
-    Joints rest where their skins were bound; others, where the file has PreRotations, with no
-    rotation but these, else as they are in their parents. Where bones of the bind pose have other
-    lengths than the nodes', the nodes decide.
+    The rest pose of a skinned joint is its bind pose. Other joints have only their PreRotations, if
+    the file has any, else the rotations of their nodes. If bones of the bind pose and of the nodes
+    differ in length, the rest pose is that of the nodes.
     """
     joints = np.array([model.number in scene.joints for model in scene.models], bool)
     bound = bind_matrices(scene)
@@ -114,10 +118,12 @@ def rest_of(
             way = rest[parent] @ np.linalg.inv(linear[parent])
             rest[k], there[k] = way @ linear[k], there[parent] + way @ (places[k] - places[parent])
     if ratios and abs(float(np.median(ratios)) - 1.0) > SAME:
-        note = "its bind pose has bones of other lengths than its nodes, whose pose is its rest"
+        note = (
+            "bones of its bind pose and of its nodes differ in length: the nodes' pose is its rest"
+        )
         return own_linear, own_places, (note,)
     if not bound and not oriented:
-        note = "no skin and no PreRotations: the pose that its nodes have is taken for its rest"
+        note = "no skin and no PreRotations: the nodes' pose is used as its rest pose"
         return rest, there, (note,)
     return rest, there, ()
 
@@ -126,6 +132,7 @@ def rig_of_scene(scene: FbxScene) -> Rig:
     """The skeleton at rest, in metres and the file's own axes. Raises HabitusError."""
     if not scene.models:
         raise HabitusError(f"{scene.path}: no skeleton; expected limb nodes or a skin")
+    up_axis_of(scene)  # mirrored axes are refused
     linear, places, _ = rest_of(scene)
     with_child = set(scene.parents)
     skinned = clustered(scene.objects, list(scene.links))
@@ -145,27 +152,21 @@ def rig_of_scene(scene: FbxScene) -> Rig:
 
 
 def read_fbx_motion(path: Path) -> RigMotion:
-    """The skeleton of an FBX file in its active animation, metres, in the file's own axes.
+    """The skeleton of an FBX file and its active animation, in metres and the file's axes.
 
-    Keys are sampled evenly: at their own distance where that is a frame's or less, else at the
-    file's frame rate. Raises HabitusError with the file named.
+    Curves are sampled evenly: at the distance of the keys, or at the file's frame rate where keys
+    are sparser. Raises HabitusError with the file named.
     """
     scene = read_fbx(path)
-    try:
+    with reading_animation(path):
         return _motion(scene)
-    except HabitusError as error:
-        raise HabitusError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
-    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
-        raise HabitusError(
-            f"{path}: its animation is damaged ({reason(error)}); export it again"
-        ) from error
 
 
 def _motion(scene: FbxScene) -> RigMotion:
     rig = rig_of_scene(scene)
     curves, notes = animation_of(scene)
     if not any(which == 1 for _, which, _ in curves):
-        raise HabitusError("no animation turns its joints; expected a skeleton in motion")
+        raise HabitusError("no animation rotates its joints; expected a skeleton in motion")
     times, rate = even_times(
         [curve.times / scene.second for curve in curves.values()], frame_rate(scene)
     )
@@ -186,21 +187,18 @@ def _motion(scene: FbxScene) -> RigMotion:
 
 
 def frame_rate(scene: FbxScene) -> float:
-    """Frames a second that the file names; 0 where it names none."""
+    """The file's frame rate (Hz); 0 where it has none."""
     mode = whole_number(scene.settings, "TimeMode", 0)
     if mode == _CUSTOM:
         return max(real_number(scene.settings, "CustomFrameRate", 0.0), 0.0)
     return _RATES.get(mode, 0.0)
 
 
-def animation_of(
-    scene: FbxScene,
-) -> tuple[dict[tuple[int, int, int], Curve], tuple[str, ...]]:
-    """Curves of the active animation by model, part (0 translation, 1 rotation, 2 scaling) and
-    axis, and notes on what is left out.
-    """
+def animation_of(scene: FbxScene) -> tuple[Curves, tuple[str, ...]]:
+    """Curves of the active animation, and notes on what is left out."""
     stacks = [n for n, node in scene.objects.items() if node.name == "AnimationStack"]
-    found = [(stack, *_curves_of(scene, stack)) for stack in stacks]
+    layers = _layers(scene)
+    found = [(stack, *_curves_of(scene, stack, layers)) for stack in stacks]
     moving = [each for each in found if any(which == 1 for _, which, _ in each[1])]
     if not moving:
         return {}, ()
@@ -209,46 +207,64 @@ def animation_of(
     stack, curves, notes = (named or moving)[0]
     if len(moving) > 1:
         name = shown(name_of(scene.objects[stack]))
-        notes = (*notes, f"of its {len(moving)} animations this is read: {name!r}")
+        notes = (*notes, f"{name!r} is read, of {len(moving)} animations")
     return curves, notes
 
 
 def _active(document: FbxDocument) -> str:
-    """The animation that the document calls active."""
+    """The name of the document's active animation."""
     for node in document.nodes:
         for each in node.all("Document") if node.name == "Documents" else ():
             return str(properties(each).get("ActiveAnimStackName", [""])[0])
     return ""
 
 
-def _curves_of(
-    scene: FbxScene, stack: int
-) -> tuple[dict[tuple[int, int, int], Curve], tuple[str, ...]]:
-    """Curves on the first layer of a stack that has any."""
-    targets: dict[int, list[tuple[int, int]]] = {}
+def _layers(scene: FbxScene) -> dict[int, Curves]:
+    """Curves of each AnimationLayer that has any. A curve is read once, however many nodes share
+    it.
+    """
     known = {model.number for model in scene.models}
+    targets: dict[int, list[tuple[int, int]]] = {}
     for child, parent, name in scene.links:
         if name in _MOVING and parent in known:
             targets.setdefault(child, []).append((parent, _MOVING[name]))
-    below, objects = scene.below, scene.objects
-    layers = []
-    for layer, _ in below.get(stack, []):
-        curves = {}
-        for group, _ in below.get(layer, []):
-            for model, which in targets.get(group, []):
-                for number, name in below.get(group, []):
-                    axis = {"d|X": 0, "d|Y": 1, "d|Z": 2}.get(name)
-                    node = objects.get(number)
-                    if axis is None or node is None or node.name != "AnimationCurve":
-                        continue
-                    curve = curve_of(node, scene.second)
-                    if curve is not None:
-                        curves[model, which, axis] = curve
-        if curves:
-            layers.append(curves)
-    if not layers:
+
+    @cache
+    def curve(number: int) -> Curve | None:
+        node = scene.objects.get(number)
+        return curve_of(node, scene.second) if node and node.name == "AnimationCurve" else None
+
+    @cache
+    def channels(group: int) -> Curves:
+        links = {name: number for number, name in scene.below.get(group, ())}
+        read = {axis: curve(links[name]) for name, axis in _AXES.items() if name in links}
+        return {
+            (model, which, axis): each
+            for model, which in targets.get(group, ())
+            for axis, each in read.items()
+            if each is not None
+        }
+
+    found: dict[int, Curves] = {}
+    for layer, node in scene.objects.items():
+        for group, _ in scene.below.get(layer, ()) if node.name == "AnimationLayer" else ():
+            if moved := channels(group):
+                found.setdefault(layer, {}).update(moved)
+    return found
+
+
+def _curves_of(
+    scene: FbxScene, stack: int, layers: Mapping[int, Curves]
+) -> tuple[Curves, tuple[str, ...]]:
+    """Curves on the first layer of a stack that has any."""
+    own = [
+        layer
+        for layer in dict.fromkeys(number for number, _ in scene.below.get(stack, ()))
+        if layer in layers
+    ]
+    if not own:
         return {}, ()
     notes = ()
-    if len(layers) > 1:
-        notes = (f"of its {len(layers)} layers of animation only the first is read; bake them",)
-    return layers[0], notes
+    if len(own) > 1:
+        notes = (f"only the first of {len(own)} animation layers is read; bake them",)
+    return layers[own[0]], notes

@@ -18,10 +18,10 @@ from habitus.io.limits import MAX_TEXT_BYTES, Allowance, check_present, check_te
 MAGIC = b"Kaydara FBX Binary  \x00\x1a\x00"
 OLDEST = 7000
 WIDE = 7500
-"""From this version on, offsets in the file have 64 bits."""
+"""Version from which on offsets in the file have 64 bits."""
 MAX_LEVELS = 48
 NODE_BYTES = 400
-"""What one node costs in memory, about."""
+"""Memory of a node without its values, approximately."""
 _SINGLES = {b"C": "<?", b"B": "<?", b"Y": "<h", b"I": "<i", b"F": "<f", b"D": "<d", b"L": "<q"}
 _ARRAYS = {b"f": "<f4", b"d": "<f8", b"i": "<i4", b"l": "<i8", b"b": "i1", b"c": "i1"}
 _SIZES = {code: struct.calcsize(form) for code, form in _SINGLES.items()}
@@ -31,9 +31,9 @@ FbxValue = bool | int | float | str | bytes | np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class FbxNode:
-    """A node: its name, its values as they are encoded in a binary file, and the nodes in it.
+    """A node: its name, its values as encoded in a binary file, and its child nodes.
 
-    ``scope``: whether a null record ends its list of nodes, also where that list is empty.
+    ``scope``: whether a null record ends the list of children, even of none.
     """
 
     name: str
@@ -51,24 +51,24 @@ class FbxNode:
         return _decoded(self.encoded[number]) if number < len(self.encoded) else None
 
     def array(self) -> np.ndarray:
-        """The first value as an array. Raises HabitusError where it is none."""
+        """The first value, which must be an array. Raises HabitusError."""
         value = self.value()
         if not isinstance(value, np.ndarray):
             raise HabitusError(f"{shown(self.name)} holds no array; export the file again")
         return value
 
     def first(self, name: str) -> "FbxNode | None":
-        """The first node of a name in this one."""
+        """The first child with a name."""
         return next((node for node in self.nodes if node.name == name), None)
 
     def all(self, name: str) -> Iterator["FbxNode"]:
-        """The nodes of a name in this one."""
+        """The children with a name."""
         return (node for node in self.nodes if node.name == name)
 
 
 @dataclass(frozen=True, eq=False)
 class FbxDocument:
-    """The top nodes of a file, its version, and what follows them; ``footer`` is empty for text."""
+    """Version and top nodes of a file, and the bytes after them; ``footer`` is empty for text."""
 
     version: int
     nodes: tuple[FbxNode, ...]
@@ -76,7 +76,7 @@ class FbxDocument:
     text: bool
 
     def first(self, name: str) -> FbxNode:
-        """The top node of a name. Raises HabitusError where there is none."""
+        """The first top node with a name. Raises HabitusError where there is none."""
         for node in self.nodes:
             if node.name == name:
                 return node
@@ -84,7 +84,7 @@ class FbxDocument:
 
 
 def read_document(content: bytes) -> FbxDocument:
-    """The document in a file's bytes. Raises HabitusError where they are none."""
+    """The document in the bytes of a file. Raises HabitusError."""
     if content.startswith(MAGIC):
         return _binary(content)
     check_text(len(content), "the file", MAX_TEXT_BYTES)
@@ -160,7 +160,7 @@ class _Binary:
         return tuple(found)
 
     def size(self, code: bytes, at: int, end: int) -> int:
-        """Bytes of a value of this code; what arrays claim is asked for."""
+        """Bytes of a value with this type code; arrays are taken from the allowance."""
         if code in _SIZES:
             return _SIZES[code]
         if code in (b"S", b"R") and at + 4 <= end:

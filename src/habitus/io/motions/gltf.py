@@ -20,7 +20,7 @@ from habitus.fit.retarget.rig_names import VRM_PARTS
 from habitus.io.archives import reason
 from habitus.io.gltf_claims import check_gltf, glb_chunks
 from habitus.io.limits import MAX_NAME_LENGTH, Allowance, read_file, read_json
-from habitus.io.motions.sampling import even_times, turns_of
+from habitus.io.motions.sampling import even_times, reading_animation, turns_of
 from habitus.io.names import inside
 from habitus.rotations import matrix_from_quaternion
 
@@ -256,14 +256,8 @@ def read_gltf_motion(path: Path) -> RigMotion:
     Keys are sampled evenly at their own usual distance. Raises HabitusError.
     """
     file = read_gltf(path)
-    try:
+    with reading_animation(path):
         return _motion(file)
-    except HabitusError as error:
-        raise HabitusError(f"{path}: {error}") from error
-    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
-        raise HabitusError(
-            f"{path}: its animation is damaged ({reason(error)}); export it again"
-        ) from error
 
 
 def _motion(file: GltfFile) -> RigMotion:

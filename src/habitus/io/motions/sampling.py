@@ -1,21 +1,42 @@
-"""What formats of animation share: even times of frames, and rotations of linear parts."""
+"""Sampling that animation formats share: evenly spaced frames, rotations of linear parts."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
+from habitus.io.archives import reason
 
 MAX_RATE = 1000.0
 MOST_FRAMES = 200_000
 
 
+@contextmanager
+def reading_animation(path: Path) -> Iterator[None]:
+    """Raise HabitusError, with the file named, for whatever a damaged animation makes the block
+    raise.
+    """
+    try:
+        yield
+    except HabitusError as error:
+        raise HabitusError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
+        raise HabitusError(
+            f"{path}: its animation is damaged ({reason(error)}); export it again"
+        ) from error
+
+
 def even_times(
     keys: list[np.ndarray], frame_rate: float = 0.0
 ) -> tuple[Float[np.ndarray, " T"], float]:
-    """Times of frames (s), and frames a second, by the channel with most keys (times in s).
+    """Evenly spaced times (s) and their rate (Hz).
 
-    Where its keys are farther apart than a frame of ``frame_rate`` (0: unknown), that decides.
-    Raises HabitusError for more frames than any motion has.
+    keys: times (s) of each channel's keys. The rate is that of the channel with most keys, or
+    ``frame_rate`` (0: unknown) where its keys are sparser. Raises HabitusError for more than
+    ``MOST_FRAMES`` frames or ``MAX_RATE``.
     """
     most = max(keys, key=len)
     first, last = min(k[0] for k in keys), max(k[-1] for k in keys)
@@ -35,7 +56,9 @@ def even_times(
 
 
 def turns_of(linear: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """The rotations nearest to linear parts of transformations."""
+    """The nearest rotations to linear parts of transformations. Raises HabitusError for singular
+    ones.
+    """
     u, s, vt = np.linalg.svd(linear)
     if (s[..., -1] < 1e-12).any():
         raise HabitusError("a node of no size; export it again")
