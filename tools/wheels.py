@@ -21,8 +21,12 @@ SYSTEMS = {
     "macos-intel": tuple(
         [f"macosx_{major}_0_x86_64" for major in range(14, 10, -1)] + ["macosx_10_13_x86_64"]
     ),
-    "linux": tuple(f"manylinux_2_{minor}_x86_64" for minor in (28, 27, 24, 17)),
-    "linux-arm": tuple(f"manylinux_2_{minor}_aarch64" for minor in (28, 27, 24, 17)),
+    "linux": tuple(
+        f"manylinux{tag}_x86_64" for tag in ("_2_28", "_2_27", "_2_24", "_2_17", "2014")
+    ),
+    "linux-arm": tuple(
+        f"manylinux{tag}_aarch64" for tag in ("_2_28", "_2_27", "_2_24", "_2_17", "2014")
+    ),
 }
 """Tags of wheels that run there: Windows 10, macOS 14, glibc 2.28 (RHEL 8, Debian 10) and older."""
 

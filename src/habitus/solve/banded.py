@@ -300,7 +300,7 @@ class _Level:
         fixed = np.where(clipped & ~still, beyond, held)
         for first, end in runs(binary_dilation(clipped.any(axis=1), iterations=AROUND)):
             begin, stop = max(first - 2, 0), min(end + 2, count)
-            part = fixed[begin:stop]
+            part = fixed[begin:stop].copy()
             part[: first - begin], part[end - begin :] = step[begin:first], step[end:stop]
             step[begin:stop] = _solved(band[begin:stop], gradient[begin:stop], part)
         return np.clip(self.states + step, low, high)
