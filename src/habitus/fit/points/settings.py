@@ -236,6 +236,11 @@ class SurfaceSettings:
     )
     stretched: float = 0.0018
     """Distance of a twentieth of the scan's points that calls for offsets in all directions."""
+    off_distance: float = 0.003
+    """Median distance from the surface, of the scan's points around a vertex, up to which it is
+    held then; from twice that on it is free."""
+    off_neighbours: int = 12
+    """Points around a vertex, for that: a few strays among them free nothing."""
     stretched_stages: tuple[SurfaceStage, ...] = (
         SurfaceStage(0.1, 0.03),
         SurfaceStage(0.01, 0.02),
