@@ -334,8 +334,11 @@ class ScanSettings:
         ScanStage(3, points=40_000, scale=0.02, noise=0.0025, until=Tolerances(cost=1e-4)),
     )
     """All scans together, with skin offsets. The noise is that of a point which the offset does not
-    explain: of the scanner, and of finer forms of the skin.
+    explain, of the scanner and of finer forms of the skin, where a scan has all those points;
+    `noise_of` is that of fewer.
     """
+    least_noise: float = 0.0012
+    """Metres: noise of a point of the sparsest scans; normals of such are not exact."""
     damping: float = 1e-4
     """Levenberg-Marquardt's at the start, relative to the diagonal."""
     max_joint_step: float = 0.6
@@ -366,6 +369,15 @@ class ScanSettings:
     limbs: LimbSettings = LimbSettings()
     surface: SurfaceSettings = SurfaceSettings()
     colours: ScanColourSettings = ScanColourSettings()
+
+    def noise_of(self, stage: ScanStage, count: int) -> float:
+        """Noise (m) of each of ``count`` points in a stage with skin offsets.
+
+        Finer forms of the skin are what neighbouring points have in common: a scan of few points
+        tells as much about pose and shape as one of many, and each of its points more.
+        """
+        share = min(1.0, count / stage.points)
+        return min(stage.noise, max(self.least_noise, stage.noise * share**0.5))
 
 
 SCANS = ScanSettings()
