@@ -185,3 +185,11 @@ def test_fewer_points_and_larger_offsets_leave_more_room_along_the_skin(fitter):
     swollen = model + 0.01 * normals
     thick = Cloud(many.points + 0.01 * many.normals, many.normals)
     assert fitter.sliding(state, thick, swollen) > 1.2 * close
+
+
+def test_a_scan_that_is_nowhere_near_leaves_all_open(fitter):
+    state = a_state(fitter, 7)
+    model = fitter.vertices(state)
+    cloud = sampled(model, fitter.body.faces, 1000, 8)
+    away = Cloud(cloud.points + 10.0, -cloud.normals)
+    assert 0.3 < fitter.sliding(state, away, model) < 3.0

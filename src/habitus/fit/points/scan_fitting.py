@@ -251,7 +251,8 @@ class ScanFitter:
         head = self.body.num_betas
         matrix[:head, :head] += stage.shape * np.eye(head)
         matrix[head + 3 :, head + 3 :] += about_root(stage.pose * self.precision)
-        root = np.linalg.cholesky(np.linalg.inv(matrix))
+        values, vectors = np.linalg.eigh(matrix)
+        root = vectors / np.sqrt(np.maximum(values, 1.0))  # 1 m, 1 rad or 1 beta at most
         count = len(skin)
         jacobian = equations.jacobian
         moved = np.concatenate(
