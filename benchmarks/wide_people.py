@@ -1,12 +1,13 @@
 """How near does `habitus register` come to the truth on people who are unlike the body's own?
 
-    python benchmarks/wide_people.py [--scans 60] [--seed 1] [--out FILE]
+    python benchmarks/wide_people.py [--scans 60] [--seed 1] [--rows FILE.jsonl] [--out FILE]
 
 People of `habitus_lab.population.wide`: shapes 1.5 times as wide as the survey's with heavy tails, 3
 to 10 mm of skin that no model knows, hair, fists and grips, hands on hips, folded, at the head.
 Scans have 2,500 to 200,000 points of .5 mm noise, seen by 12 cameras, holes in 5 %. Errors (mm)
 are distances of vertices from where they truly are; ``seen`` counts those of which the scan tells.
-``turned``: an upper arm, forearm, thigh or shank that is turned about its own axis by more than 60
+``--rows``: a file of one line a person, written as people are measured; those in it are not measured
+again. ``turned``: an upper arm, forearm, thigh or shank that is turned about its own axis by more than 60
 degrees.
 """
 
@@ -15,8 +16,10 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import argparse
+import json
 import time
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from common import parser, run, show_table
@@ -77,6 +80,8 @@ def row_of(k: int, seed: int) -> dict:
     hands = vertex_parts(body) == PARTS.index("hands")
     left = np.array([name.startswith("left_") for name in body.joint_names])[body.strongest_joint]
     row = {
+        "seed": seed,
+        "person": k,
         "stance": person.stance,
         "hands": " ".join(person.hands),
         "points": points,
@@ -107,9 +112,23 @@ def turned(body: BodyModel, true: np.ndarray, found: np.ndarray) -> set[str]:
     return far
 
 
+def row_kept(k: int, seed: int, path: Path | None) -> dict:
+    """Person k's row from a file, or measured and added to it."""
+    if path is not None and path.exists():
+        for line in path.read_text().splitlines():
+            row = json.loads(line)
+            if (row["seed"], row["person"]) == (seed, k):
+                return row
+    row = row_of(k, seed)
+    if path is not None:
+        with path.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+    return row
+
+
 def measure(options: argparse.Namespace) -> dict:
     """All people."""
-    rows = [row_of(k, options.seed) for k in range(options.scans)]
+    rows = [row_kept(k, options.seed, options.rows) for k in range(options.scans)]
     right = [all(row[name] <= most for name, most in RIGHT.items()) for row in rows]
     good = [row["verdict"] == "good" for row in rows]
     hands = np.array([row[f"{side} hand"] for row in rows for side in ("left", "right")])
@@ -134,7 +153,7 @@ def measure(options: argparse.Namespace) -> dict:
 
 def show(found: dict) -> None:
     """Print the tables."""
-    rows = [{k: v for k, v in row.items() if k != "reasons"} for row in found["rows"]]
+    rows = [{k: v for k, v in row.items() if k not in ("reasons", "seed")} for row in found["rows"]]
     show_table("people unlike the body's own, mm", rows, 1)
     show_table("summary", [found["summary"]], 2)
 
@@ -143,4 +162,5 @@ if __name__ == "__main__":
     arguments = parser(__doc__, out=True)
     arguments.add_argument("--scans", type=int, default=60)
     arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--rows", type=Path)
     run(arguments, measure, show)
