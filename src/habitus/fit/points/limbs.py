@@ -75,13 +75,7 @@ def with_extremities(
         held = replace(fitter, prior=_held(fitter, state, joint))
         tried = [(held, _turned(state, joint, turn)) for turn in turns]
         stages = fitter.settings.limbs.stages
-        state = _best(
-            tried,
-            near,
-            stages,
-            lambda one, hand: _misfit(fitter, one, hand),
-            fitter.settings.limbs.turns_refined,
-        )
+        state = _best(tried, near, stages, lambda one, hand: _misfit(fitter, one, hand))
     return state
 
 
@@ -119,8 +113,9 @@ def with_hands(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState:
         def misfit(one: BodyState, hand: Cloud, rows: np.ndarray = rows) -> float:
             return _misfit(fitter, one, hand) + _outside(fitter, one, hand, rows)
 
-        settings = fitter.settings.limbs
-        state = _best(tried, near, settings.hand_stages, misfit, settings.hands_refined)
+        first = [misfit(start, near[0]) for _, start in tried]
+        kept = [tried[k] for k in np.argsort(first)[: fitter.settings.limbs.hands_refined]]
+        state = _best(kept, near, fitter.settings.limbs.hand_stages, misfit)
     return state
 
 
@@ -148,15 +143,11 @@ def _best(
     near: tuple[Cloud, Cloud],
     stages: Sequence[ScanStage],
     misfit: Callable[[BodyState, Cloud], float],
-    kept: int,
 ) -> BodyState:
     """The best state after all stages of those two that are best after the first one; each start
-    with the fitter whose prior holds the other joints. Only starts of small misfit are tried.
+    with the fitter whose prior holds the other joints.
     """
     hand, few = near
-    if len(starts) > kept:
-        misfits = [misfit(start, hand) for _, start in starts]
-        starts = [starts[k] for k in np.argsort(misfits, kind="stable")[:kept]]
     first, *rest = stages
     tried = [(held, held.fit(start, [few], [first])) for held, start in starts]
     tried = sorted(tried, key=lambda one: misfit(one[1], hand))[:2]

@@ -171,8 +171,7 @@ class Scene:
     def _from_scan(self, model: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch"]:
         """Capped distances of the model's points from the scan's."""
         most = self.guesser.settings.max_distance
-        slack = self.guesser.settings.slack
-        return np.minimum(self.scan.query(model, distance_upper_bound=most, eps=slack)[0], most)
+        return np.minimum(self.scan.query(model, distance_upper_bound=most)[0], most)
 
     def _cost(
         self, there: np.ndarray, back: np.ndarray, betas: np.ndarray, pose: np.ndarray

@@ -111,9 +111,6 @@ class SearchSettings:
     """From the rest of the body at which a point may be a limb's."""
     max_distance: float = 0.12
     """At which distances are capped."""
-    slack: float = 0.3
-    """Share by which a distance from model to scan may be too large: approximate search is faster.
-    """
     model_share: float = 0.5
     """Weight of the distance from model to scan beside that from scan to model."""
     prior_share: float = 0.0005
@@ -167,8 +164,6 @@ class LimbSettings:
         ScanStage(4, points=1000, scale=0.02, noise=0.005, slide=0.1, betas=0),
     )
     """The same for hands."""
-    turns_refined: int = 4
-    """Of the turns of a hand or foot, those of which more than the first misfit is looked at."""
     hands_refined: int = 7
     """Of the poses of a hand, those of which more than the first misfit is looked at."""
     prior_distance: float = 0.0003
