@@ -32,7 +32,7 @@ of these terms is ours). Numbers are those of `ScanSettings.stages` and `.offset
             noise 10, 5 mm                         effective_points        `slide` of point to point
     offset  w / noise^2, noise 10, 4, 2.5 mm;      ScanStage.noise;        point to plane of model
             prior Q: sd 4 mm (bony 2), range       offsets, noise_of       with offset; h about h0
-            0.19, smoothness 2
+            0.19, smoothness 1
     shape   1; in a sequence 1/0.5^2               ScanStage.shape,        betas - 0, or those of
                                                    shape_change            the frame before
     pose    1 x precision of the pose prior        ScanStage.pose          pose - mean, no root

@@ -245,7 +245,8 @@ class ScanFitter:
         ]
         wide = max(1.0, float(np.sqrt(np.mean(offset[skin] ** 2))) / self.settings.offsets.sd)
         spread = wide * offset_spread(self.body, self.settings.offsets)
-        field = self._field(self.vertices(state), spread)
+        smoothness = self.settings.sliding_smoothness
+        field = self._field(self.vertices(state), spread, smoothness)
         equations = OffsetEquations.of(self, state, cloud, field, offset, stage)
         matrix = equations.equations(state.betas, state.pose[0], state.trans[0])[1].copy()
         head = self.body.num_betas
@@ -272,12 +273,13 @@ class ScanFitter:
         """Of a surface from the model, along the model's normals."""
         return ((surface - model) * vertex_normals(model, self.topology.faces)).sum(1)
 
-    def _field(self, model: np.ndarray, spread: Float[np.ndarray, " V"]) -> csc_array:
+    def _field(
+        self, model: np.ndarray, spread: Float[np.ndarray, " V"], smoothness: int | None = None
+    ) -> csc_array:
         """The precision of skin offsets on a posed model."""
         offsets = self.settings.offsets
-        return field_precision(
-            self.topology.faces, model, spread, offsets.range, offsets.smoothness
-        )
+        smoothness = offsets.smoothness if smoothness is None else smoothness
+        return field_precision(self.topology.faces, model, spread, offsets.range, smoothness)
 
     def _priors(self, stage: ScanStage) -> dict[str, Term]:
         betas = np.zeros(self.body.num_betas)

@@ -332,6 +332,8 @@ class ScanSettings:
     explain, of the scanner and of finer forms of the skin, where a scan has all those points;
     `noise_of` is that of fewer.
     """
+    sliding_smoothness: int = 2
+    """Of the field of skin offsets by which `ScanFitter.sliding` is computed."""
     least_noise: float = 0.0012
     """Metres: noise of a point of the sparsest scans; normals of such are not exact."""
     damping: float = 1e-4
