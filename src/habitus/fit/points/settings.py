@@ -231,6 +231,11 @@ class SurfaceSettings:
     )
     stretched: float = 0.0018
     """Distance of a twentieth of the scan's points that calls for offsets in all directions."""
+    off_distance: float = 0.003
+    """Median distance from the surface, of the scan's points around a vertex, up to which it is
+    held then; from twice that on it is free."""
+    off_neighbours: int = 12
+    """Points around a vertex, for that: a few strays among them free nothing."""
     stretched_stages: tuple[SurfaceStage, ...] = (
         SurfaceStage(0.1, 0.03),
         SurfaceStage(0.01, 0.02),
@@ -324,8 +329,13 @@ class ScanSettings:
         ScanStage(3, points=40_000, scale=0.02, noise=0.0025, until=Tolerances(cost=1e-4)),
     )
     """All scans together, with skin offsets. The noise is that of a point which the offset does not
-    explain: of the scanner, and of finer forms of the skin.
+    explain, of the scanner and of finer forms of the skin, where a scan has all those points;
+    `noise_of` is that of fewer.
     """
+    sliding_smoothness: int = 2
+    """Of the field of skin offsets by which `ScanFitter.sliding` is computed."""
+    least_noise: float = 0.0012
+    """Metres: noise of a point of the sparsest scans; normals of such are not exact."""
     damping: float = 1e-4
     """Levenberg-Marquardt's at the start, relative to the diagonal."""
     max_joint_step: float = 0.6
@@ -356,6 +366,15 @@ class ScanSettings:
     limbs: LimbSettings = LimbSettings()
     surface: SurfaceSettings = SurfaceSettings()
     colours: ScanColourSettings = ScanColourSettings()
+
+    def noise_of(self, stage: ScanStage, count: int) -> float:
+        """Noise (m) of each of ``count`` points in a stage with skin offsets.
+
+        Finer forms of the skin are what neighbouring points have in common: a scan of few points
+        tells as much about pose and shape as one of many, and each of its points more.
+        """
+        share = min(1.0, count / stage.points)
+        return min(stage.noise, max(self.least_noise, stage.noise * share**0.5))
 
 
 SCANS = ScanSettings()
