@@ -38,9 +38,6 @@ class OffsetSettings:
     """Last words of the joints that move bony parts."""
     range: float = 0.19
     """Distance at which the correlation of two offsets is 0.14."""
-    smoothness: int = 1
-    """Of the field. With 2 pose and shape of the right body are closer to the truth, but the wrong
-    body is chosen more often."""
 
 
 OFFSETS = OffsetSettings()

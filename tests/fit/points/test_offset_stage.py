@@ -101,7 +101,7 @@ def point_rows(
     surface = model + mean[:, None] * vertex_normals(model, fitter.topology.faces)
     found = find_correspondences(fitter.topology, surface, cloud.points, cloud.normals)
     distance = np.linalg.norm(cloud.points - found.closest, axis=1)
-    noise = fitter.settings.noise_of(STEP, len(distance))
+    noise = STEP.noise_of(len(distance))
     weight = geman_mcclure_weight(distance, STEP.scale) * (found.cosine > 0.5) / noise**2
     rows = np.zeros((len(weight), len(model)))
     np.put_along_axis(rows, fitter.topology.faces[found.face], found.barycentric, axis=1)

@@ -185,7 +185,6 @@ def test_the_verdict_follows_the_numbers():
         "cuts": {"body": 3, "head": 20},
         "limbs": {},
         "islands": 0.02,
-        "sliding": 0.0012,
         "head_seen": 0.9,
         "measurements": {"height_m": 1.75},
         "body": SimpleNamespace(age=None, v_template=np.zeros((2, 3))),
@@ -194,7 +193,7 @@ def test_the_verdict_follows_the_numbers():
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.01}, "doubtful"), ({"lost": 0.02}, "failed"),
         ({"matched": 0.5}, "failed"), ({"cuts": {"body": 150}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
-        ({"rival": 1.01}, "doubtful"), ({"sliding": 0.002}, "doubtful"), ({"islands": 0.4}, "doubtful"),
+        ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"),
         ({"head_seen": 0.1}, "doubtful"),
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
@@ -209,7 +208,7 @@ def scan_evidence(**changes):
     good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
-    good |= {"limbs": {}, "islands": 0.0, "sliding": 0.0, "head_seen": 1.0, "measurements": {}}
+    good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "measurements": {}}
     good |= {"body": SimpleNamespace(age=None, v_template=np.zeros((2, 3)))}
     return SimpleNamespace(**(good | changes))
 

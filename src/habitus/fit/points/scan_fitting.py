@@ -13,7 +13,7 @@ normal n_p, renewed before each step; w_p = 1 / noise^2 falls with the distance 
 and is zero where normals disagree. First "points" and the priors from coarse to fine; c = min(1,
 `effective_points` / N) counts the N points of a scan as 1500 at most, since what a fit leaves of a
 scan is no independent noise. Then "offset" in place of "points", without c, noise being that of the
-scan's number of points (`ScanSettings.noise_of`): h (V,) are skin offsets along the normals of the
+scan's number of points (`ScanStage.noise_of`): h (V,) are skin offsets along the normals of the
 model, a random field with precision Q (`habitus.fit.offsets`). h is linear
 and eliminated from each step exactly (variable projection, Golub and Pereyra 1973): pose and shape
 then follow what a smooth offset cannot explain, the form of a knee sooner than the girth of a
@@ -58,7 +58,6 @@ from habitus.fit.points.correspondences import (
 )
 from habitus.fit.points.scan import Cloud, agreed
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
-from habitus.fit.verdict import HANDS, PARTS, vertex_parts
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term
 from habitus.solve.least_squares import Levenberg
@@ -159,7 +158,11 @@ class ScanFitter:
         if self.previous is not None:
             mean = self.previous.offset
             spread = self.settings.offset_change * spread
-        precisions = [self._field(self.vertices(state, k), spread) for k in range(len(clouds))]
+        models = [self.vertices(state, k) for k in range(len(clouds))]
+        precisions = {
+            smoothness: [self._field(model, spread, smoothness) for model in models]
+            for smoothness in {stage.smoothness for stage in schedule}
+        }
         scans: list[OffsetEquations] = []  # those of the last step, from which offsets carry over
 
         def terms_at(values: dict[str, Any], stage: ScanStage, step: int) -> dict[str, Term]:
@@ -170,7 +173,7 @@ class ScanFitter:
                     self,
                     now[k : k + 1],
                     cloud,
-                    precisions[k],
+                    precisions[stage.smoothness][k],
                     mean,
                     stage,
                     scans[k] if scans else None,
@@ -220,66 +223,25 @@ class ScanFitter:
             model = self.vertices(state, k)
             offset = self._offset(model, surface)
             deviation = state.pose[k, 1:].ravel() - self.prior.mean
-            total += 0.5 * float(offset @ (self._field(model, spread) @ offset))
+            total += 0.5 * float(offset @ (self._field(model, spread, 1) @ offset))
             total += 0.5 * float(deviation @ self.precision @ deviation)
             few = cloud.first(last.points)
             matched = find_correspondences(self.topology, surface, few.points, few.normals)
             square = matched.distances(few.points) ** 2
             loss = square * last.scale**2 / (square + last.scale**2)
-            noise = self.settings.noise_of(last, len(loss))
-            total += 0.5 / noise**2 * float(loss.sum())
+            total += 0.5 / last.noise**2 * float(loss.sum())
         return total
-
-    def sliding(self, state: BodyState, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
-        """How far (m) a registered surface may be from the truth along the skin: standard deviation
-        of the model's vertices across their normals, mean over the skin without hands.
-
-        By the inverse of the last stage's Gauss-Newton matrix (Laplace's approximation), skin
-        offsets being as large as those that were found: a sparse scan, and skin far from the
-        body's, tell less of where a point of the skin is.
-        """
-        stage = self.settings.offset_stages[-1]
-        offset = self._offset(self.vertices(state), surface)
-        skin = self.topology.whole[
-            vertex_parts(self.body)[self.topology.whole] != PARTS.index(HANDS)
-        ]
-        wide = max(1.0, float(np.sqrt(np.mean(offset[skin] ** 2))) / self.settings.offsets.sd)
-        spread = wide * offset_spread(self.body, self.settings.offsets)
-        smoothness = self.settings.sliding_smoothness
-        field = self._field(self.vertices(state), spread, smoothness)
-        equations = OffsetEquations.of(self, state, cloud, field, offset, stage)
-        matrix = equations.equations(state.betas, state.pose[0], state.trans[0])[1].copy()
-        head = self.body.num_betas
-        matrix[:head, :head] += stage.shape * np.eye(head)
-        matrix[head + 3 :, head + 3 :] += about_root(stage.pose * self.precision)
-        values, vectors = np.linalg.eigh(matrix)
-        root = vectors / np.sqrt(np.maximum(values, 1.0))  # 1 m, 1 rad or 1 beta at most
-        count = len(skin)
-        jacobian = equations.jacobian
-        moved = np.concatenate(
-            [
-                jacobian.vertices_betas[skin].reshape(count, 3, -1),
-                np.broadcast_to(np.eye(3), (count, 3, 3)),
-                jacobian.vertices_pose[skin].reshape(count, 3, -1),
-            ],
-            2,
-        )
-        moved = moved @ root
-        along = np.einsum("vc,vcn->vn", equations.normal[skin], moved)
-        variance = (moved**2).sum((1, 2)) - (along**2).sum(1)
-        return float(np.sqrt(np.maximum(variance, 0.0)).mean())
 
     def _offset(self, model: np.ndarray, surface: np.ndarray) -> Float[np.ndarray, " V"]:
         """Of a surface from the model, along the model's normals."""
         return ((surface - model) * vertex_normals(model, self.topology.faces)).sum(1)
 
     def _field(
-        self, model: np.ndarray, spread: Float[np.ndarray, " V"], smoothness: int | None = None
+        self, model: np.ndarray, spread: Float[np.ndarray, " V"], smoothness: int
     ) -> csc_array:
         """The precision of skin offsets on a posed model."""
-        offsets = self.settings.offsets
-        smoothness = offsets.smoothness if smoothness is None else smoothness
-        return field_precision(self.topology.faces, model, spread, offsets.range, smoothness)
+        correlated = self.settings.offsets.range
+        return field_precision(self.topology.faces, model, spread, correlated, smoothness)
 
     def _priors(self, stage: ScanStage) -> dict[str, Term]:
         betas = np.zeros(self.body.num_betas)
@@ -355,7 +317,7 @@ class OffsetEquations:
         weight = correspondences.weights(
             cloud.points, stage.scale, fitter.settings.offset_min_cosine
         )
-        weight /= fitter.settings.noise_of(stage, len(weight)) ** 2
+        weight /= stage.noise_of(len(weight)) ** 2
         corners = faces[correspondences.face]
         row = np.repeat(np.arange(len(corners)), 3)
         share = coo_array(

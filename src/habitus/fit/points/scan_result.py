@@ -117,10 +117,6 @@ class ScanLimits:
     """Share of the scan in components separate from the person, which are left out: more than dust
     and stands may be another person. By hand, for two people side by side (0.5); at most 0.001 of
     the four."""
-    sliding: Bound = Bound(0.00185, np.inf)
-    """Metres that the surface may be off along the skin (`ScanFitter.sliding`). Of ten people of
-    benchmarks/wide_people.py (seed 7) the six within 3 and 7 mm of the truth have 1.2 to 1.83 mm,
-    three of the four others 1.92 to 2.17."""
     people: PeopleLimits = SCANNED_PEOPLE
     limb_agreement: float = 0.4
     limb_deviation: float = 0.006
@@ -151,8 +147,6 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "height.",
         "islands": "{percent:.0f} % of the scan lies apart and was left out; it may be another "
         "person or a part of this one.",
-        "sliding": "Points of the surface may be {mm:.1f} mm off along the skin (standard "
-        "deviation): the scan is sparse, or the skin is far from the body's.",
         "rival": "Another pose fits nearly as well.",
         "limbs": "The surface of the {limbs} is unlike that in the person's other scans; it may be "
         "turned about its own axis.",
@@ -185,7 +179,6 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
         Reason(above(fit.pose_distance, limits.pose), "pose", {"ratio": fit.pose_distance}),
         Reason(below(fit.seen, limits.seen), "seen", {"percent": 100.0 * fit.seen}),
         Reason(below(fit.head_seen, limits.head_seen), "head", {"percent": 100.0 * fit.head_seen}),
-        Reason(above(fit.sliding, limits.sliding), "sliding", {"mm": 1e3 * fit.sliding}),
         Reason(above(fit.islands, limits.islands), "islands", {"percent": 100.0 * fit.islands}),
     ]
     if fit.rival is not None:
@@ -285,8 +278,7 @@ class ScanFit:
     cut each other in the surface beyond those of the model, by part of the body
     (`habitus.fit.verdict.PARTS`). ``person``: False where the start was
     so far from the scan that the rest was not tried; the surface is then the model's. ``islands``:
-    share of the scan that was left out as separate components. ``sliding``: how far (m) the
-    surface may be off along the skin (`ScanFitter.sliding`). ``up_axis``
+    share of the scan that was left out as separate components. ``up_axis``
     is the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
     ``costs``: its cost by term.
@@ -314,7 +306,6 @@ class ScanFit:
     up_axis: str
     person: bool = True
     islands: float = 0.0
-    sliding: float = 0.0
     notes: tuple[str, ...] = ()
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)

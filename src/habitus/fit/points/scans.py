@@ -389,7 +389,6 @@ class Registrar:
             up_axis=scan.start.up,
             person=scan.person,
             islands=scan.islands,
-            sliding=self.fitter.sliding(state, scan.cloud, scan.surface) if scan.person else 0.0,
             cuts=new_cuts(self.fitter.topology, model, scan.surface, vertex_parts(self.body)),
             status=scan.status,
             costs=scan.costs,

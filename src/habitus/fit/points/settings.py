@@ -3,6 +3,7 @@
 The terms that the weights belong to, and full citations, are in `habitus.fit.points`.
 """
 
+import math
 from dataclasses import dataclass
 
 from habitus.fit.offsets import OFFSETS, OffsetSettings
@@ -34,6 +35,18 @@ class ScanStage(Stage):
     """Factor of the pose prior."""
     shape: float = 1.0
     """Factor of the shape prior."""
+    least_noise: float = math.inf
+    """Metres, down to which the noise falls with the square root of the share of ``points`` that a
+    scan has: neighbouring points have finer forms of the skin in common, so that each of few
+    determines more. Infinite: it does not fall."""
+    smoothness: int = 1
+    """Of the random field of skin offsets. With 2 pose and shape of the right body are closer to
+    the truth, but the wrong body explains a scan more often."""
+
+    def noise_of(self, count: int) -> float:
+        """Noise (m) of each of ``count`` points."""
+        fallen = self.noise * min(1.0, count / self.points) ** 0.5
+        return min(self.noise, max(self.least_noise, fallen))
 
 
 @dataclass(frozen=True)
@@ -326,16 +339,19 @@ class ScanSettings:
     offset_stages: tuple[ScanStage, ...] = (
         ScanStage(3, points=8000, scale=0.05, noise=0.01),
         ScanStage(2, points=16_000, scale=0.03, noise=0.004),
-        ScanStage(3, points=40_000, scale=0.02, noise=0.0025, until=Tolerances(cost=1e-4)),
+        ScanStage(
+            3,
+            points=40_000,
+            scale=0.02,
+            noise=0.0025,
+            least_noise=0.0012,
+            smoothness=2,
+            until=Tolerances(cost=1e-4),
+        ),
     )
     """All scans together, with skin offsets. The noise is that of a point which the offset does not
-    explain, of the scanner and of finer forms of the skin, where a scan has all those points;
-    `noise_of` is that of fewer.
+    explain, of the scanner and of finer forms of the skin.
     """
-    sliding_smoothness: int = 2
-    """Of the field of skin offsets by which `ScanFitter.sliding` is computed."""
-    least_noise: float = 0.0012
-    """Metres: noise of a point of the sparsest scans; normals of such are not exact."""
     damping: float = 1e-4
     """Levenberg-Marquardt's at the start, relative to the diagonal."""
     max_joint_step: float = 0.6
@@ -366,15 +382,6 @@ class ScanSettings:
     limbs: LimbSettings = LimbSettings()
     surface: SurfaceSettings = SurfaceSettings()
     colours: ScanColourSettings = ScanColourSettings()
-
-    def noise_of(self, stage: ScanStage, count: int) -> float:
-        """Noise (m) of each of ``count`` points in a stage with skin offsets.
-
-        Finer forms of the skin are what neighbouring points have in common: a scan of few points
-        tells as much about pose and shape as one of many, and each of its points more.
-        """
-        share = min(1.0, count / stage.points)
-        return min(stage.noise, max(self.least_noise, stage.noise * share**0.5))
 
 
 SCANS = ScanSettings()
