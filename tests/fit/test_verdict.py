@@ -1,6 +1,7 @@
 """Verdicts: the worst level decides, limits of people depend on age, sentences are filled in."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from habitus.fit.verdict import (
     FAILED,
     GOOD,
     HANDS,
+    HEAD,
     LEVELS,
     PARTS,
     PEOPLE,
@@ -176,6 +178,22 @@ def test_a_person_stretched_along_an_axis_has_nobodys_proportions(stretch):
     (reason,) = reasons(stretch)
     assert reason.level == DOUBTFUL and reason.values["distance"] > 5.5
     assert not list(proportion_reasons(body.measure_rest(rest * stretch), 8.0, CLOSE))
+
+
+def test_a_head_out_of_proportion_speaks_of_the_head_and_a_stretched_person_of_the_body():
+    """Hair of 3 cm makes a head of nobody's proportions; what is stretched is so in its feet, too."""
+    body = load_body("female")
+    rest = body.rest_vertices(body.people_mean)
+    limits = replace(CLOSE, head=HEAD)
+    measured = dict(body.measure_rest(rest))
+    hair = measured | {name: measured[name] + 0.06 for name in ("head_length_m", "head_breadth_m")}
+    (reason,) = proportion_reasons(hair, None, limits)
+    assert reason.part == HEAD
+    (reason,) = proportion_reasons(hair, None, CLOSE)
+    assert reason.part == BODY
+    for stretch in ((1.35, 1.0, 1.0), (1.0, 1.0, 0.7), (1.0, 1.35, 1.0)):
+        (reason,) = proportion_reasons(body.measure_rest(rest * stretch), None, limits)
+        assert reason.part == BODY
 
 
 @pytest.mark.parametrize("sex", ["female", "male"])

@@ -1,9 +1,9 @@
 """Skin offsets: how far a person's skin lies off a body model, along the model's normals.
 
-    h ~ N(0, Q^-1),    k = sqrt(8) / range
-    Q = S^-1 (k^2 A + L) A^-1 (k^2 A + L) S^-1 / (4 pi k^2)
+    h ~ N(0, Q^-1),    k = sqrt(8 s) / range,    K = k^2 A + L
+    Q = S^-1 (K A^-1)^s K S^-1 / (4 pi s k^(2 s))
 
-h (V,; m) is a Gaussian random field on the surface of Matern's kind with smoothness 1 (Lindgren,
+h (V,; m) is a Gaussian random field on the surface of Matern's kind with smoothness s (Lindgren,
 Rue and Lindstroem 2011), L the cotangent Laplacian, A the areas of vertices and S the standard
 deviation of h at each. What a fit leaves of a scan is correlated over centimetres: without h a
 thousand points on a thigh count as a thousand independent measurements, and the model slides along
@@ -57,14 +57,17 @@ def field_precision(
     vertices: Float[np.ndarray, "V 3"],
     spread: Float[np.ndarray, " V"],
     correlation_range: float = OFFSETS.range,
+    smoothness: int = 1,
 ) -> csc_array:
     """The precision Q (V, V; 1 / m^2) of a Matern field on a mesh with that standard deviation
-    (m).
+    (m), range (m) and integer smoothness.
     """
     laplacian, area = cotangent_laplacian(vertices, faces)
-    inverse = np.sqrt(8.0) / correlation_range
-    half = inverse**2 * diags_array(area) + laplacian
-    whole = half @ diags_array(1.0 / area) @ half / (4.0 * np.pi * inverse**2)
+    inverse = np.sqrt(8.0 * smoothness) / correlation_range
+    whole = half = inverse**2 * diags_array(area) + laplacian
+    for _ in range(smoothness):
+        whole = whole @ diags_array(1.0 / area) @ half
+    whole = whole / (4.0 * np.pi * smoothness * inverse ** (2 * smoothness))
     return csc_array(diags_array(1.0 / spread) @ whole @ diags_array(1.0 / spread))
 
 

@@ -49,10 +49,12 @@ def a_state(fitter: ScanFitter, seed: int) -> BodyState:
     return BodyState(0.5 * rng.normal(size=body.num_betas), pose, 0.02 * rng.normal(size=(1, 3)))
 
 
-def test_a_field_has_the_spread_and_the_range_it_is_asked_for():
+@pytest.mark.parametrize("smoothness", [1, 2])
+def test_a_field_has_the_spread_and_the_range_it_is_asked_for(smoothness):
     ball = trimesh.creation.icosphere(3, 0.4)
     vertices = np.asarray(ball.vertices)
-    precision = field_precision(np.asarray(ball.faces), vertices, np.full(642, 0.004), 0.3)
+    spread = np.full(642, 0.004)
+    precision = field_precision(np.asarray(ball.faces), vertices, spread, 0.3, smoothness)
     covariance = np.linalg.inv(precision.toarray())
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 0.004, rtol=0.1)
     apart = np.linalg.norm(vertices - vertices[0], axis=1)
@@ -99,7 +101,8 @@ def point_rows(
     surface = model + mean[:, None] * vertex_normals(model, fitter.topology.faces)
     found = find_correspondences(fitter.topology, surface, cloud.points, cloud.normals)
     distance = np.linalg.norm(cloud.points - found.closest, axis=1)
-    weight = geman_mcclure_weight(distance, STEP.scale) * (found.cosine > 0.5) / STEP.noise**2
+    noise = STEP.noise_of(len(distance))
+    weight = geman_mcclure_weight(distance, STEP.scale) * (found.cosine > 0.5) / noise**2
     rows = np.zeros((len(weight), len(model)))
     np.put_along_axis(rows, fitter.topology.faces[found.face], found.barycentric, axis=1)
     return rows, weight, ((cloud.points - rows @ model) * found.normal).sum(1) - rows @ mean
@@ -158,3 +161,35 @@ def test_a_frame_gains_by_the_one_before(fitter):
         (found,) = one.fit_with_offsets(start, [cloud], (STEP,)).surfaces
         off.append(np.linalg.norm(found - surface, axis=1).mean())
     assert off[1] < 0.6 * off[0]
+
+
+def test_few_points_tell_as_much_as_many_down_to_the_least_noise(fitter):
+    settings = fitter.settings
+    stage = settings.offset_stages[-1]
+    assert settings.noise_of(stage, stage.points) == stage.noise
+    assert settings.noise_of(stage, 10 * stage.points) == stage.noise
+    half = settings.noise_of(stage, stage.points // 2)
+    np.testing.assert_allclose(
+        stage.points // 2 / half**2, stage.points / stage.noise**2, rtol=1e-12
+    )
+    assert settings.noise_of(stage, 100) == settings.least_noise
+
+
+def test_fewer_points_and_larger_offsets_leave_more_room_along_the_skin(fitter):
+    state = a_state(fitter, 7)
+    model = fitter.vertices(state)
+    normals = vertex_normals(model, fitter.body.faces)
+    many, few = (sampled(model, fitter.body.faces, count, 8) for count in (20_000, 1000))
+    close, sparse = (fitter.sliding(state, cloud, model) for cloud in (many, few))
+    assert 0.0 < close < sparse < 0.02
+    swollen = model + 0.01 * normals
+    thick = Cloud(many.points + 0.01 * many.normals, many.normals)
+    assert fitter.sliding(state, thick, swollen) > 1.2 * close
+
+
+def test_a_scan_that_is_nowhere_near_leaves_all_open(fitter):
+    state = a_state(fitter, 7)
+    model = fitter.vertices(state)
+    cloud = sampled(model, fitter.body.faces, 1000, 8)
+    away = Cloud(cloud.points + 10.0, -cloud.normals)
+    assert 0.3 < fitter.sliding(state, away, model) < 3.0

@@ -31,14 +31,16 @@ of these terms is ours). Numbers are those of `ScanSettings.stages` and `.offset
     points  w min(1, 1500/N) / noise^2,            ScanStage.noise,        point to plane, and share
             noise 10, 5 mm                         effective_points        `slide` of point to point
     offset  w / noise^2, noise 10, 4, 2.5 mm;      ScanStage.noise;        point to plane of model
-            prior Q: sd 4 mm (bony 2), range 0.19  offsets                 with offset; h about h0
+            prior Q: sd 4 mm (bony 2), range       offsets,                with offset; h about h0
+            0.19, smoothness 1, at last 2          ScanStage.smoothness
     shape   1; in a sequence 1/0.5^2               ScanStage.shape,        betas - 0, or those of
                                                    shape_change            the frame before
     pose    1 x precision of the pose prior        ScanStage.pose          pose - mean, no root
     colour  spread of tones, at most 1500 points   colours                 place along the skin
 
 In "offset" all N points count in full, as neither the cap of 1500 nor `slide` applies: what points
-have in common the offset explains. Free surface (`free_surface`, thesis sec. 5.4): a thin plate,
+have in common the offset explains. In the last stage each point of a scan of few has less noise
+(`ScanStage.noise_of`). Free surface (`free_surface`, thesis sec. 5.4): a thin plate,
 weights `SurfaceStage.stiffness` (mu) and `SurfaceSettings`.
 
 Depth energy (`depth_energy`; thesis eq. 4.3). Fields are those of `RgbdSettings`:

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import bsr_array, coo_array, csc_array, csr_array, diags_array, eye_array, kron
+from scipy.spatial import KDTree
 
 from habitus.fit.offsets import factored
 from habitus.fit.points.correspondences import (
@@ -71,14 +72,16 @@ def stretched_surface(
     """A free surface moved further in all directions: for spread fingers and sleeves, which no
     offset along normals reaches.
 
-    The plate is that of the further offset as a vector; where the surface lies on the scan already,
-    little moves.
+    The plate is that of the further offset as a vector. Where the surface lies on the scan already
+    it is held as strongly as the scan would hold it, or all the skin would slide along the scan.
     """
     plate, area = _plate(topology, surface, settings)
+    held = diags_array(area * _on_scan(topology, surface, cloud, settings))
     moved = surface
     for stage in settings.stretched_stages:
         level = _level(topology, surface, moved, cloud, settings)
-        energy = kron(settings.plate * (plate + level), eye_array(3), format="csc")
+        bending = settings.plate * (plate + level) + held / stage.stiffness
+        energy = kron(bending, eye_array(3), format="csc")
         correspondences = find_correspondences(topology, moved, cloud.points, cloud.normals)
         weight = correspondences.weights(cloud.points, stage.scale, settings.min_cosine)
         weight *= area.sum() / len(cloud.points)
@@ -121,6 +124,17 @@ def _level(
     """The matrix that levels the offset where there is no scan."""
     unseen = 1.0 - vertex_weights(topology, surface, cloud, settings)[topology.faces].min(1)
     return cotangent_laplacian(vertices, topology.faces, unseen)[0] / settings.level**2
+
+
+def _on_scan(
+    topology: Topology, surface: np.ndarray, cloud: Cloud, settings: SurfaceSettings
+) -> Float[np.ndarray, " V"]:
+    """1 at vertices around which the scan lies on the surface, 0 where it is far off."""
+    correspondences = find_correspondences(topology, surface, cloud.points, cloud.normals)
+    count = min(settings.off_neighbours, len(cloud.points))
+    near = KDTree(cloud.points).query(surface, k=count)[1].reshape(len(surface), -1)
+    off = np.median(correspondences.distances(cloud.points)[near], axis=1)
+    return np.clip(2.0 - off / settings.off_distance, 0.0, 1.0)
 
 
 def _solved(

@@ -12,8 +12,9 @@ t_p is a scanned point and q_p its correspondence on the model, the nearest poin
 normal n_p, renewed before each step; w_p = 1 / noise^2 falls with the distance (Geman-McClure)
 and is zero where normals disagree. First "points" and the priors from coarse to fine; c = min(1,
 `effective_points` / N) counts the N points of a scan as 1500 at most, since what a fit leaves of a
-scan is no independent noise. Then "offset" in place of "points", without c: h (V,) are skin offsets
-along the normals of the model, a random field with precision Q (`habitus.fit.offsets`). h is linear
+scan is no independent noise. Then "offset" in place of "points", without c, noise being that of the
+scan's number of points (`ScanStage.noise_of`): h (V,) are skin offsets along the normals of the
+model, a random field with precision Q (`habitus.fit.offsets`). h is linear
 and eliminated from each step exactly (variable projection, Golub and Pereyra 1973): pose and shape
 then follow what a smooth offset cannot explain, the form of a knee sooner than the girth of a
 thigh.
@@ -157,15 +158,11 @@ class ScanFitter:
         if self.previous is not None:
             mean = self.previous.offset
             spread = self.settings.offset_change * spread
-        precisions = [
-            field_precision(
-                self.topology.faces,
-                self.vertices(state, k),
-                spread,
-                self.settings.offsets.range,
-            )
-            for k in range(len(clouds))
-        ]
+        models = [self.vertices(state, k) for k in range(len(clouds))]
+        precisions = {
+            smoothness: [self._field(model, spread, smoothness) for model in models]
+            for smoothness in {stage.smoothness for stage in schedule}
+        }
         scans: list[OffsetEquations] = []  # those of the last step, from which offsets carry over
 
         def terms_at(values: dict[str, Any], stage: ScanStage, step: int) -> dict[str, Term]:
@@ -176,7 +173,7 @@ class ScanFitter:
                     self,
                     now[k : k + 1],
                     cloud,
-                    precisions[k],
+                    precisions[stage.smoothness][k],
                     mean,
                     stage,
                     scans[k] if scans else None,
@@ -215,6 +212,36 @@ class ScanFitter:
             steps=Levenberg(self.settings.damping),
             blocks=("trans", "pose"),
         )
+
+    def energy(self, fit: OffsetFit, clouds: Sequence[Cloud]) -> float:
+        """E of all scans at surfaces that lie off the model along its normals."""
+        state = fit.state
+        last = self.settings.offset_stages[-1]
+        spread = offset_spread(self.body, self.settings.offsets)
+        total = 0.5 * float(state.betas @ state.betas)
+        for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
+            model = self.vertices(state, k)
+            offset = self._offset(model, surface)
+            deviation = state.pose[k, 1:].ravel() - self.prior.mean
+            total += 0.5 * float(offset @ (self._field(model, spread, 1) @ offset))
+            total += 0.5 * float(deviation @ self.precision @ deviation)
+            few = cloud.first(last.points)
+            matched = find_correspondences(self.topology, surface, few.points, few.normals)
+            square = matched.distances(few.points) ** 2
+            loss = square * last.scale**2 / (square + last.scale**2)
+            total += 0.5 / last.noise**2 * float(loss.sum())
+        return total
+
+    def _offset(self, model: np.ndarray, surface: np.ndarray) -> Float[np.ndarray, " V"]:
+        """Of a surface from the model, along the model's normals."""
+        return ((surface - model) * vertex_normals(model, self.topology.faces)).sum(1)
+
+    def _field(
+        self, model: np.ndarray, spread: Float[np.ndarray, " V"], smoothness: int
+    ) -> csc_array:
+        """The precision of skin offsets on a posed model."""
+        correlated = self.settings.offsets.range
+        return field_precision(self.topology.faces, model, spread, correlated, smoothness)
 
     def _priors(self, stage: ScanStage) -> dict[str, Term]:
         betas = np.zeros(self.body.num_betas)
@@ -290,7 +317,7 @@ class OffsetEquations:
         weight = correspondences.weights(
             cloud.points, stage.scale, fitter.settings.offset_min_cosine
         )
-        weight /= stage.noise**2
+        weight /= stage.noise_of(len(weight)) ** 2
         corners = faces[correspondences.face]
         row = np.repeat(np.arange(len(corners)), 3)
         share = coo_array(

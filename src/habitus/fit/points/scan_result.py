@@ -44,9 +44,10 @@ from habitus.fit.verdict import (
 from habitus.mesh.normals import vertex_normals
 
 SCANNED_PEOPLE = PeopleLimits(
-    above=Bound(0.05, np.inf), below=Bound(0.05, np.inf), proportions=Bound(5.5, np.inf)
+    above=Bound(0.15, np.inf), below=Bound(0.15, np.inf), proportions=Bound(5.5, np.inf), head=HEAD
 )
-"""Measurements outside those of people are a doubt: clothes and hair are measured, too.
+"""Measurements outside those of people are a doubt: clothes are measured, too. Their range is wider
+than a fit's that infers them: a surface on the scan measures it. Hair is measured with the head.
 Proportions: a scan stretched by 1.3 across lies at 6.7, one squeezed by 0.7 in depth at 6.3, six
 surfaces of people whom no body of ours made at 1.9 to 4.0."""
 

@@ -3,6 +3,7 @@
 The terms that the weights belong to, and full citations, are in `habitus.fit.points`.
 """
 
+import math
 from dataclasses import dataclass
 
 from habitus.fit.offsets import OFFSETS, OffsetSettings
@@ -34,6 +35,18 @@ class ScanStage(Stage):
     """Factor of the pose prior."""
     shape: float = 1.0
     """Factor of the shape prior."""
+    least_noise: float = math.inf
+    """Metres, down to which the noise falls with the square root of the share of ``points`` that a
+    scan has: neighbouring points have finer forms of the skin in common, so that each of few
+    determines more. Infinite: it does not fall."""
+    smoothness: int = 1
+    """Of the random field of skin offsets. With 2 pose and shape of the right body are closer to
+    the truth, but the wrong body explains a scan more often."""
+
+    def noise_of(self, count: int) -> float:
+        """Noise (m) of each of ``count`` points."""
+        fallen = self.noise * min(1.0, count / self.points) ** 0.5
+        return min(self.noise, max(self.least_noise, fallen))
 
 
 @dataclass(frozen=True)
@@ -231,6 +244,11 @@ class SurfaceSettings:
     )
     stretched: float = 0.0018
     """Distance of a twentieth of the scan's points that calls for offsets in all directions."""
+    off_distance: float = 0.003
+    """Median distance from the surface, of the scan's points around a vertex, up to which it is
+    held then; from twice that on it is free."""
+    off_neighbours: int = 12
+    """Points around a vertex, for that: a few strays among them free nothing."""
     stretched_stages: tuple[SurfaceStage, ...] = (
         SurfaceStage(0.1, 0.03),
         SurfaceStage(0.01, 0.02),
@@ -321,10 +339,18 @@ class ScanSettings:
     offset_stages: tuple[ScanStage, ...] = (
         ScanStage(3, points=8000, scale=0.05, noise=0.01),
         ScanStage(2, points=16_000, scale=0.03, noise=0.004),
-        ScanStage(3, points=40_000, scale=0.02, noise=0.0025, until=Tolerances(cost=1e-4)),
+        ScanStage(
+            3,
+            points=40_000,
+            scale=0.02,
+            noise=0.0025,
+            least_noise=0.0012,
+            smoothness=2,
+            until=Tolerances(cost=1e-4),
+        ),
     )
     """All scans together, with skin offsets. The noise is that of a point which the offset does not
-    explain: of the scanner, and of finer forms of the skin.
+    explain, of the scanner and of finer forms of the skin.
     """
     damping: float = 1e-4
     """Levenberg-Marquardt's at the start, relative to the diagonal."""
