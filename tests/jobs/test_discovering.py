@@ -44,7 +44,7 @@ def found(planted, capture, monkeypatch):
         ("Left and right are not decided.",),
         ("a note",),
     )
-    monkeypatch.setattr("habitus.jobs.subjects.discover", lambda *known: result)
+    monkeypatch.setattr("habitus.fit.discover.recipe.discover", lambda *known: result)
     return result
 
 
