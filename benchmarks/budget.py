@@ -13,8 +13,8 @@ Seconds of a shared machine differ by half from run to run; these counts do not:
 
 Comprehensions and generators are left out, as other versions of Python call them in other numbers.
 Each job runs in a process of its own with one thread, once to load and compile what it needs and
-once counted. Two runs differ by less than 1 % (iterations of a solver may end a step earlier on another processor): a tenth is
-beyond that, and below what a superfluous evaluation in a loop costs. Work inside a kernel is not
+once counted. Two runs differ by less than 1 % (iterations of a solver may end a step earlier on
+another processor): a tenth is beyond that, and below what a superfluous evaluation in a loop costs. Work inside a kernel is not
 counted: `mosh_speed.py` and `body_forward.py` time it. Where a count falls by more than a tenth,
 record the reference anew, so that what was saved stays saved.
 """
@@ -236,7 +236,7 @@ def compared(job: str, found: Counts, reference: Counts) -> tuple[list[tuple], l
         if known is None:
             over.append(f"{job}: {name} has no reference")
         elif number > (1 + TOLERANCE) * known and number > known + FEW:
-            over.append(f"{job}: {name} {known:,.0f} -> {number:,.0f} ({number / known:.2f} times)")
+            over.append(f"{job}: {name} {known:,.0f} -> {number:,.0f}")
         rows.append((job, name, known, number))
     return rows, over
 
@@ -263,9 +263,8 @@ def main() -> int:
         rows, over = compared(job, found[job], reference.get(job, {}))
         failures += over
         for _, name, known, number in rows:
-            before, ratio = (
-                ("", "") if known is None else (f"{known:,.1f}", f"{number / known:.3f}")
-            )
+            before = "" if known is None else f"{known:,.1f}"
+            ratio = f"{number / known:.3f}" if known else ""
             print(f"{job:8} {name:20} {before:>12} {number:>12,.1f} {ratio:>6}", flush=True)
     for path in ([options.out] if options.out else []) + ([REFERENCE] if options.record else []):
         kept = {**reference, **found} if path == REFERENCE else found
