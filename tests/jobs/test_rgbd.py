@@ -183,7 +183,7 @@ def _nobody(place):
 @pytest.mark.parametrize(("strict", "code"), [([], 0), (["--strict"], 3)])
 def test_strict_ends_with_code_3_where_the_fit_failed(results, tmp_path, monkeypatch, strict, code):
     out, _, _, fit = results
-    evidence = replace(fit.evidence, beta_max=9.0)
+    evidence = replace(fit.evidence, beta_max=12.0)
     failed = replace(fit, evidence=evidence, appearance=None)
     monkeypatch.setattr("habitus.jobs.rgbd.fit_rgbd", lambda *_, **__: failed)
     arguments = ["rgbd", str(out.parent / "views"), "--out", str(tmp_path / "out"), *strict]
