@@ -103,7 +103,7 @@ def planted_row(model: BodyModel, topology: str, seed: int, own: bool, folder: P
         "seed": seed,
         "surface": "own" if own else "betas",
         "ours_mm": ours.error_mm,
-        "told_mm": solved.error_mm,
+        "reported_mm": solved.error_mm,
         "vertices": off(at_y[:, kept], vertices[:, kept]),
         "floor": off(
             np.asarray(model(np.tile(floor.betas, (FRAMES, 1)), floor.pose, floor.trans).vertices)[
@@ -195,7 +195,7 @@ def _mean_row(topology: str, surface: str, rows: list[dict]) -> dict:
         "vertices mm": [row["vertices"]["mean"] for row in rows],
         "95 %": [row["vertices"]["p95"] for row in rows],
         "floor mm": [row["floor"]["mean"] for row in rows],
-        "told mm": [row["told_mm"]["mean"] for row in rows],
+        "reported mm": [row["reported_mm"]["mean"] for row in rows],
         "body joints °": [row["body_joints"] for row in rows],
         "joints 95 %": [row["body_joints_p95"] for row in rows],
         "fingers °": [row["fingers"] for row in rows],
