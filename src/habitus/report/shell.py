@@ -158,7 +158,10 @@ def banner(verdict: Mapping[str, Any]) -> str:
     """A verdict and its reasons, in its colour, and the levels of parts that differ from it."""
     level = verdict["level"]
     parts = verdict.get("parts") or {}
-    named = " · ".join(f"{escape(name)} {escape(part['level'])}" for name, part in parts.items())
+    named = " · ".join(
+        f"<span class='{part['level']}'>{escape(name)} {escape(part['level'])}</span>"
+        for name, part in parts.items()
+    )
     differ = any(part["level"] != level for part in parts.values())
     by_part = f"<p class='parts'>{named}</p>" if differ else ""
     items = "".join(
