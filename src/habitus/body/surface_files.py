@@ -190,7 +190,9 @@ def glb_bytes(document: gl.GLTF2) -> bytes:
 
 
 def _entries(value: Any) -> Any:
-    """What JSON holds of a part of a document: nothing that is None or empty, extensions apart."""
+    """The JSON form of a part of a document. None and empty values are left out, except inside
+    extensions.
+    """
     if isinstance(value, list | tuple):
         return [_entries(item) for item in value]
     if is_dataclass(value) or isinstance(value, gl.Attributes):

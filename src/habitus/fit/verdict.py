@@ -225,8 +225,8 @@ class PeopleLimits:
     """How far an adult's `RIGID` measurements may lie from the survey's mean, in standard
     deviations."""
     head: str = BODY
-    """The part of the body that a head out of range or out of proportion speaks of: `HEAD` where
-    hair is measured with it."""
+    """The part of the body to which a head that is out of range or out of proportion belongs:
+    `HEAD` where hair is measured with it."""
     without_head: float = 4.5
     """How far height and feet alone may lie, for a person out of proportion to be so by the head.
     One in a thousand of the survey lies beyond 4.2; of 50 people drawn from the default bodies and

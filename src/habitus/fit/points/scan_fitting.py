@@ -213,29 +213,6 @@ class ScanFitter:
             blocks=("trans", "pose"),
         )
 
-    def energy(self, fit: OffsetFit, clouds: Sequence[Cloud]) -> float:
-        """E of all scans at surfaces that lie off the model along its normals."""
-        state = fit.state
-        last = self.settings.offset_stages[-1]
-        spread = offset_spread(self.body, self.settings.offsets)
-        total = 0.5 * float(state.betas @ state.betas)
-        for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
-            model = self.vertices(state, k)
-            offset = self._offset(model, surface)
-            deviation = state.pose[k, 1:].ravel() - self.prior.mean
-            total += 0.5 * float(offset @ (self._field(model, spread, 1) @ offset))
-            total += 0.5 * float(deviation @ self.precision @ deviation)
-            few = cloud.first(last.points)
-            matched = find_correspondences(self.topology, surface, few.points, few.normals)
-            square = matched.distances(few.points) ** 2
-            loss = square * last.scale**2 / (square + last.scale**2)
-            total += 0.5 / last.noise**2 * float(loss.sum())
-        return total
-
-    def _offset(self, model: np.ndarray, surface: np.ndarray) -> Float[np.ndarray, " V"]:
-        """Of a surface from the model, along the model's normals."""
-        return ((surface - model) * vertex_normals(model, self.topology.faces)).sum(1)
-
     def _field(
         self, model: np.ndarray, spread: Float[np.ndarray, " V"], smoothness: int
     ) -> csc_array:

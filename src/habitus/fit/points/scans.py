@@ -29,6 +29,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
+from habitus.fit.offsets import field_precision, offset_spread
 from habitus.fit.points.correspondences import (
     Topology,
     find_correspondences,
@@ -43,7 +44,7 @@ from habitus.fit.points.limbs import (
     with_hands,
 )
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
-from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
+from habitus.fit.points.scan_fitting import OffsetFit, PreviousFrame, ScanFitter
 from habitus.fit.points.scan_result import (
     LIMITS,
     ScanFit,
@@ -289,7 +290,7 @@ class Registrar:
             )
             stages = self.settings.offset_stages[:-1]
             fit = registrar.fitter.fit_with_offsets(state, clouds, stages)
-            cost = registrar.fitter.energy(fit, clouds) if self.others else 0.0
+            cost = energy(registrar.fitter, fit, clouds) if self.others else 0.0
             tried.append((cost, registrar, fit.state))
         return min(tried, key=lambda each: each[0])[1:]
 
@@ -448,6 +449,27 @@ def compared(
         "lost": lost,
         "lost_part": part_around(fitter.body, surface, place),
     }
+
+
+def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float:
+    """E of all scans at surfaces that lie off the model along its normals."""
+    state = fit.state
+    settings = fitter.settings
+    last = settings.offset_stages[-1]
+    spread = offset_spread(fitter.body, settings.offsets)
+    total = 0.5 * float(state.betas @ state.betas)
+    for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
+        model = fitter.vertices(state, k)
+        offset = ((surface - model) * vertex_normals(model, fitter.topology.faces)).sum(1)
+        precision = field_precision(fitter.topology.faces, model, spread, settings.offsets.range)
+        deviation = state.pose[k, 1:].ravel() - fitter.prior.mean
+        total += 0.5 * float(offset @ (precision @ offset))
+        total += 0.5 * float(deviation @ fitter.precision @ deviation)
+        distances = scan_distances(fitter.topology, surface, cloud.first(last.points))
+        square = distances**2
+        loss = square * last.scale**2 / (square + last.scale**2)
+        total += 0.5 / last.noise**2 * float(loss.sum())
+    return total
 
 
 def _last(k: int, previous: BodyState) -> slice:

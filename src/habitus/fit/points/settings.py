@@ -350,7 +350,7 @@ class ScanSettings:
         ),
     )
     """All scans together, with skin offsets. The noise is that of a point which the offset does not
-    explain, of the scanner and of finer forms of the skin.
+    explain: of the scanner, and of finer forms of the skin.
     """
     damping: float = 1e-4
     """Levenberg-Marquardt's at the start, relative to the diagonal."""
