@@ -27,11 +27,11 @@ DESCRIPTION = (
     "pelvis joint at the "
     "origin; betas are unit normal; pose blend shapes {pose}"
 )
-TWIST_ALONE = "share twist along forearm, upper arm and thigh"  # as built, before flesh/ship.py
-LEARNED = "are learned from simulated flesh"
-DAMPED = LEARNED + ", damped where no pose was simulated"
-FOLDED = DAMPED + ", with hinge channels at knees and elbows"
-LIMITED = FOLDED + ", limited beyond the ranges of joints"
+TWIST_ALONE = "share twist along forearm, upper arm and thigh"  # as built, before flesh/learn.py
+LEARNED = (
+    "are learned from simulated flesh, damped where no pose was simulated, with hinge channels at "
+    "knees and elbows, limited beyond the ranges of joints"
+)
 
 
 def asset_arrays(

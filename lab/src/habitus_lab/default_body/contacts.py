@@ -116,15 +116,6 @@ def with_room(
     return found
 
 
-def without_meetings(
-    mean: np.ndarray, skins: tuple[np.ndarray, ...], mirror: np.ndarray, clean: np.ndarray
-) -> np.ndarray:
-    """A body (V,3) that, where its skin meets itself, has the gaps of `clean` (V,3), which does
-    not.
-    """
-    return _open(mean, skins, mirror, clean, _stiffness(skins[0], len(mean)))
-
-
 def _tied(space: ShapeSpace, stiff: sparse.csc_matrix, meetings: Meetings) -> ShapeSpace:
     flat = space.shapedirs.reshape(len(space.mean), -1)
     change = _relax(stiff, meetings, flat).reshape(space.shapedirs.shape)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from .contacts import Meetings, apart, without_meetings
+from .contacts import Meetings, apart, with_room
 from .face_identity import drawn_faces, face_space
 from .face_lines import FaceLines, face_lines
 from .face_lips import closed_lips
@@ -141,15 +141,15 @@ def kept_apart(
     arrays: dict[str, np.ndarray], skins: tuple[np.ndarray, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Shape directions and ages with springs where lips that are closed at rest would pass through
-    each other in random people, or in the mean person of an age, which takes on the adult's gaps.
+    each other in random people, of an age as well, whose mean person takes on the adult's gaps.
     """
     names = [name for name in ("shapedirs", "further_shapedirs") if name in arrays]
     every = np.concatenate([arrays[name] for name in names], -1).astype(float)
     rest = arrays["v_template"].astype(float)
     mirror = arrays["mirror"]
     count = every.shape[-1]
-    nothing = np.zeros(1), np.zeros((1, count))
-    space = ShapeSpace(rest, every, np.zeros((1, count)), np.ones(count), 0.0, *nothing)
+    nobody = np.zeros(1), np.zeros((1, count))
+    space = ShapeSpace(rest, every, np.zeros((1, count)), np.ones(count), 0.0, *nobody)
     found, _ = apart(space, skins, mirror, rest, np.random.default_rng(0))
     ends = np.cumsum([arrays[name].shape[-1] for name in names])[:-1]
     parts = np.split(found.shapedirs, ends, -1)
@@ -159,9 +159,12 @@ def kept_apart(
     ages = arrays["agedirs"].astype(float)
     height = np.ptp(rest[:, 1])
     opened = []
-    for offset in np.moveaxis(ages, -1, 0):
-        clean = rest * (np.ptp(rest[:, 1] + offset[:, 1]) / height)
-        opened.append(without_meetings(rest + offset, skins, mirror, clean) - rest)
+    shapes = changed["shapedirs"].astype(float)
+    for offset, spread in zip(np.moveaxis(ages, -1, 0), arrays["age_spread"], strict=True):
+        size = np.ptp(rest[:, 1] + offset[:, 1]) / height
+        own = size * spread * shapes
+        nothing = Meetings(len(rest), {})
+        opened.append(with_room(rest + offset, size * rest, own, skins, mirror, nothing) - rest)
     return changed | {"agedirs": np.stack(opened, -1).astype(arrays["agedirs"].dtype)}
 
 

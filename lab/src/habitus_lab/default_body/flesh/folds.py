@@ -1,28 +1,20 @@
-"""Learn hinge channels of knees and elbows, and their turns about rare axes, from the further round
-of the simulation, on top of a shipped body's pose blend shapes (`habitus.learn.steps.hinges`).
+"""Learn hinge channels of knees and elbows, and their turns about rare axes, from simulated flesh on
+top of a body's pose blend shapes (`habitus.learn.steps.hinges`).
 
-    python -m habitus_lab.default_body.flesh.folds FLESH [female male neutral] [--bodies FOLDER]
-        [--write] [--numbers FILE]
-
-FLESH is what `run.py --further --gather` wrote. What earlier poses say of a joint's blend shapes is
-kept by their moments (`damping.trained_poses`). The left side is learned, from everyone and their
-mirror images; the right side is its mirror image. Collars are left as they are: in the earlier
-poses they move with shoulders, and a change of one alone lets acromia sink.
+What all simulated poses say of a joint's blend shapes is kept by their moments. The left side is
+learned, from everyone and their mirror images; the right side is its mirror image. Collars are left
+as they are: they move with shoulders in most poses, and a change of one alone lets acromia sink.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from habitus import load_body
 from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
 from habitus.learn.steps.hinges import (
     FEATURES,
     Channels,
@@ -34,16 +26,13 @@ from habitus.learn.steps.hinges import (
     solve_fold,
     with_folds,
 )
-from habitus_lab.default_body.asset import DESCRIPTION, FOLDED, VERSION, write_asset
-from habitus_lab.default_body.flesh.damping import FLIP, trained_poses
-from habitus_lab.default_body.flesh.poses import SEXES
+from habitus_lab.default_body.flesh.damping import FLIP
 from habitus_lab.default_body.rig import JOINT_MIRROR
-from habitus_lab.repository import BODIES
 
 BEGINS = (60.0, 90.0, 115.0, 135.0)  # degrees of a bend where channels begin
 AXES = {"left_knee": (1.0, 0.0, 0.0), "left_elbow": (0.0, -1.0, 0.0)}  # of a bend
 SHAPES = 2  # betas that channels are multiplied with: a third tells nothing more of a fold
-KNOWN = 0.05  # of the earlier poses' moments: channels take over a part of what these held
+KNOWN = 0.05  # of the moments of all poses: channels take over a part of what these held
 PRIOR = 0.03  # with .003 errors are the same, and knees turned aside by 60 degrees lose .4 litres
 RIDGE = 3e-3
 DEEP = 115.0
@@ -79,17 +68,16 @@ def surfaces(folder: Path, body: BodyModel, sexes: tuple[str, ...]) -> Iterator[
             yield Surface(path.stem.rstrip("m"), word == "test", sample)
 
 
-def learn(body: BodyModel, data: list[Surface], space: str) -> BodyModel:
+def folded_body(body: BodyModel, data: list[Surface]) -> BodyModel:
     """The body with channels learned from everything that is not of the set "test"."""
     samples = [one.sample for one in data if not one.tested]
-    earlier = trained_poses(space)
+    poses = np.array([one.pose for one in samples])
     folds = []
     for name in AXES:
         joint = body.joint_names.index(name)
         channels = channels_of(body, name, np.array(AXES[name]), BEGINS)
-        features = FEATURES.value(earlier[:, joint])
-        moments = features.T @ features / len(features)
-        known = KNOWN * moments
+        features = FEATURES.value(poses[:, joint])
+        known = KNOWN * features.T @ features / len(features)
         folds.append(solve_fold(body, channels, samples, SHAPES, known, PRIOR, RIDGE))
     return with_folds(body, [*folds, *(mirrored(fold, body.mirror) for fold in folds)])
 
@@ -126,91 +114,29 @@ def degrees(surface: Surface, joint: int) -> float:
     return float(np.degrees(np.linalg.norm(surface.sample.pose[joint])))
 
 
-def errors(
-    bodies: dict[str, BodyModel], data: list[Surface], people: set[str]
-) -> dict[str, dict[str, float]]:
-    """Mean distance (mm) from raw surfaces of the set "test" of some people, by joint and its turn,
-    of each body, and how many surfaces there are.
+def errors(bodies: dict[str, BodyModel], data: list[Surface]) -> dict[str, dict[str, float]]:
+    """Mean distance (mm) from raw surfaces of the set "test" of people that were left out and of the
+    others, by joint and its turn, of each body, and how many surfaces there are; the last body's blend shapes say what a joint moves.
     """
     tested = [one for one in data if one.tested]
+    known = {one.person for one in data if not one.tested}
     table: dict[str, dict[str, list[float]]] = {}
-    shipped = bodies["shipped"]
+    last = list(bodies.values())[-1]
     for name in AXES:
-        joint = shipped.joint_names.index(name)
-        vertices = crease(shipped, tested, joint)
+        joint = last.joint_names.index(name)
+        vertices = crease(last, tested, joint)
         for one in tested:
             turn = degrees(one, joint)
-            if one.person not in people or turn < BINS[0]:
+            if turn < BINS[0]:
                 continue
             low = max(b for b in BINS if b <= turn)
-            row = table.setdefault(f"{name} from {low:3d}", {word: [] for word in bodies})
+            whose = "known people" if one.person in known else "people left out"
+            row = table.setdefault(f"{whose}, {name} from {low:3d}", {word: [] for word in bodies})
             for word, body in bodies.items():
                 off = np.linalg.norm(residual(body, one.sample, vertices)[1], axis=1)
                 row[word].append(1e3 * float(off.mean()))
     return {
         key: {word: float(np.mean(each)) for word, each in row.items()}
-        | {"surfaces": len(row["shipped"])}
+        | {"surfaces": len(row[next(iter(bodies))])}
         for key, row in sorted(table.items())
     }
-
-
-def write(path: Path, body: BodyModel, space: str) -> None:
-    """Put the learned arrays into a shipped body's file."""
-    with np.load(path) as own:
-        arrays = dict(own)
-    if FOLDED in str(arrays["description"]):
-        raise HabitusError(f"{space}: it has hinge channels already; expected a body without")
-    assert body.posedirs is not None and body.hinges is not None
-    hinges = body.hinges
-    moved = np.abs(hinges.directions).max((1, 2, 3), keepdims=True) > LEAST
-    arrays |= {
-        "posedirs": body.posedirs.astype(np.float16),
-        "hinge_joints": hinges.joint.astype(np.int32),
-        "hinge_rows": hinges.rows.astype(np.float32),
-        "hinge_bias": hinges.bias.astype(np.float32),
-        "hinge_linear": hinges.linear.astype(np.float32),
-        "hingedirs": (hinges.directions * moved).astype(np.float16),
-        "description": np.array(DESCRIPTION.format(space=space, pose=FOLDED)),
-        "version": np.array(VERSION),
-    }
-    write_asset(arrays, path)
-    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
-
-
-def main() -> None:
-    """Learn, measure, write."""
-    options = _options()
-    numbers = {}
-    for space in options.spaces:
-        body = load_body(space, detail="full", joints="smplx")
-        data = list(surfaces(options.flesh, body, SEXES if space == "neutral" else (space,)))
-        folded = learn(body, data, space)
-        plain = replace(body, posedirs=None, hinges=None, finer=None)
-        bodies = {"skinning": plain, "shipped": body, "folded": folded}
-        known = {one.person for one in data if not one.tested}
-        strangers = {one.person for one in data} - known
-        for words, people in (("people left out", strangers), ("new poses", known)):
-            numbers[f"{space}, {words}"] = found = errors(bodies, data, people)
-            print(f"{space}, {words}")
-            for key, row in found.items():
-                print("  ", key, *(f"{word} {value:.1f}" for word, value in row.items()))
-        if options.write:
-            write(options.bodies / f"{space}.npz", folded, space)
-    if options.numbers is not None:
-        options.numbers.write_text(json.dumps(numbers, indent=1))
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("flesh", type=Path)
-    parser.add_argument("spaces", nargs="*", default=["female", "male", "neutral"])
-    parser.add_argument("--bodies", type=Path, default=BODIES)
-    parser.add_argument("--write", action="store_true", help="put them into the bodies' files")
-    parser.add_argument("--numbers", type=Path, help="JSON of what is printed")
-    return parser.parse_args()
-
-
-if __name__ == "__main__":
-    main()

@@ -1,17 +1,15 @@
 """Hold a body's pose blend shapes beyond the ranges of its joints, with least change of simulated
 and of real poses.
 
-    python -m habitus_lab.default_body.flesh.limits [female male neutral] [--bodies FOLDER]
-
 1. Collars are damped beyond their range. With P the blend shapes of collars and shoulders that
    move a vertex,
 
        tr((P - P0) H (P - P0)') + sum_j mu_j tr(P_j W_j P_j'),
 
-   H the moments of the features of these joints together, over the simulation's poses
-   (`damping.trained_poses`), poses drawn from the pose prior and standing ones, and W_j those of
-   joint j beyond its range (`ranges.RANGES`) about each axis. Moments of joints together keep what
-   collar and shoulder do with arms down: shoulders take over what collars lose.
+   H the moments of the features of these joints together, over the simulated poses, poses drawn
+   from the pose prior and standing ones, and W_j those of joint j beyond its range
+   (`ranges.RANGES`) about each axis. Moments of joints together keep what collar and shoulder do
+   with arms down: shoulders take over what collars lose.
 2. Rotations of collars, hips, head and spine that change the volume by more than the gate allows
    are given it back along the normals.
 3. Offsets of collars, hips and head beyond the range are saturated at 38.5 mm, or at the longest
@@ -23,28 +21,22 @@ features that changes the poses of H least.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
-from habitus import load_body
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import ENTRIES, POSE_FEATURES
 from habitus.body.prior import shipped_prior
-from habitus.errors import HabitusError
 from habitus.learn.posing.rig import Rig
 from habitus.learn.posing.rotation_prior import rotation_gram
 from habitus.learn.posing.surface import posed
-from habitus_lab.default_body.asset import DESCRIPTION, LIMITED, VERSION, write_asset
-from habitus_lab.default_body.flesh.damping import symmetric, trained_poses
+from habitus_lab.default_body.flesh.damping import symmetric
 from habitus_lab.default_body.flesh.gates import volume
 from habitus_lab.default_body.flesh.poses import mirrored_pose, named
 from habitus_lab.default_body.flesh.ranges import FAR, Rotation, limits, rotations, turned
-from habitus_lab.repository import BODIES
 
 WEIGHTS = {"collar": 0.001, "shoulder": 0.0}  # mu; simulated poses change by .3 mm RMS
 SATURATED = ("collar", "hip", "head")
@@ -104,8 +96,8 @@ def columns_of(drivers: Sequence[int] | np.ndarray) -> np.ndarray:
     return (ENTRIES * np.asarray(drivers)[:, None] + np.arange(ENTRIES)).ravel()
 
 
-def moments(body: BodyModel, space: str, seed: int = 0) -> Moments:
-    """Of the simulation's poses, as many of the prior's, and standing ones."""
+def moments(body: BodyModel, simulated: np.ndarray, seed: int = 0) -> Moments:
+    """Of the simulated poses, as many of the prior's, and standing ones."""
     prior = shipped_prior().for_joints(body.joint_names)
     drawn = np.random.default_rng(seed).multivariate_normal(prior.mean, prior.covariance, DRAWN)
     real = np.concatenate([np.zeros((DRAWN, 1, 3)), drawn.reshape(DRAWN, -1, 3)], axis=1)
@@ -116,7 +108,7 @@ def moments(body: BodyModel, space: str, seed: int = 0) -> Moments:
         ]
     )
     standing = left + mirrored_pose(left, body.joint_names)
-    sources = (trained_poses(space), 1.0), (real, 1.0), (standing, KEEP)
+    sources = (simulated, 1.0), (real, 1.0), (standing, KEEP)
     flat = [
         np.sqrt(share / len(poses)) * entries(poses[:, body.drivers]).reshape(len(poses), -1)
         for poses, share in sources
@@ -288,9 +280,11 @@ def normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return found
 
 
-def limited_body(body: BodyModel, space: str) -> BodyModel:
-    """A body at full detail with blend shapes held beyond the ranges of its joints."""
-    given = moments(body, space)
+def limited_body(body: BodyModel, simulated: np.ndarray) -> BodyModel:
+    """A body at full detail with blend shapes held beyond the ranges of its joints; the simulated
+    poses (N, J, 3) rad.
+    """
+    given = moments(body, simulated)
     assert body.posedirs is not None
     found = replace(body, posedirs=damped_together(body.posedirs, given), finer=None)
     names = [body.joint_names[joint] for joint in body.drivers]
@@ -306,32 +300,3 @@ def limited_body(body: BodyModel, space: str) -> BodyModel:
             found = replace(found, posedirs=posedirs, finer=None)
     drivers = np.array(found.drivers)
     return replace(found, posedirs=symmetric(found.posedirs, drivers, found.mirror), finer=None)
-
-
-def main() -> None:
-    """Rewrite the files."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("spaces", nargs="*", default=["female", "male", "neutral"])
-    parser.add_argument("--bodies", type=Path, default=BODIES)
-    options = parser.parse_args()
-    for space in options.spaces:
-        path = options.bodies / f"{space}.npz"
-        with np.load(path) as own:
-            arrays = dict(own)
-        if LIMITED in str(arrays["description"]):
-            raise HabitusError(f"{path}: it is limited already; expected a body that is not")
-        body = load_body(str(path), detail="full", joints="smplx")
-        assert list(arrays["posedirs_joints"]) == body.drivers
-        arrays |= {
-            "posedirs": limited_body(body, space).posedirs.astype(np.float16),
-            "description": np.array(DESCRIPTION.format(space=space, pose=LIMITED)),
-            "version": np.array(VERSION),
-        }
-        write_asset(arrays, path)
-        print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
-
-
-if __name__ == "__main__":
-    main()
