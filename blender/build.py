@@ -14,7 +14,9 @@ from scipy.special import chdtri, ndtr
 
 import habitus
 from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
-from habitus.body.measurements import volume
+from habitus.body.measurements import DENSITY, DENSITY_SLOPE, LEAN_DENSITY, WAISTS, volume
+from habitus.body.skin import TONES, Skin, skin_of
+from habitus.export.png import png
 from habitus.fit.from_measurements import ESTIMATE
 from habitus.io.models.details import hinges_form
 
@@ -32,6 +34,7 @@ def body_arrays(name: str) -> dict[str, np.ndarray]:
     """The arrays that the add-on needs of a body at its full level of detail."""
     coarse = habitus.load_body(name)
     model = coarse.full or coarse
+    mesh = skin_layout(model).mesh
     shape = {
         "v_template": model.v_template,
         "shapedirs": _short(model.shapedirs),
@@ -52,11 +55,19 @@ def body_arrays(name: str) -> dict[str, np.ndarray]:
     skin = {
         "skinning_index": model.skinning_index.astype(np.int32),
         "skinning_value": model.skinning_value.astype(np.float32),
-        "faces": model.mesh.quads.astype(np.int32),
-        "uv": model.mesh.uv.astype(np.float32),
-        "face_uv": model.mesh.quad_uv.astype(np.int32),
+        "faces": mesh.quads.astype(np.int32),
+        "uv": mesh.uv.astype(np.float32),
+        "face_uv": mesh.quad_uv.astype(np.int32),
     }
     return shape | skin | pose_arrays(model) | _dynamics(model) | _measures(coarse)
+
+
+def skin_layout(model: Any, tone: str = "medium") -> Skin:
+    """The skin of a default body, whose texture coordinates those of the add-on are."""
+    skin = skin_of(model.mesh, tone)
+    if skin is None:
+        raise ValueError(f"{model.name} has no layout of the skin; expected a default body")
+    return skin
 
 
 def pose_arrays(model: Any) -> dict[str, np.ndarray]:
@@ -112,14 +123,15 @@ def _measures(model: Any) -> dict[str, np.ndarray]:
     for k, model_at_age in enumerate([model, *map(model.at_age, model.ages.years)]):
         points |= {f"tape_{name}_{k}": each for name, each in _tapes(model_at_age, people).items()}
     full = model.full
-    density = 1000.0 * volume(model.v_template, model.faces) / volume(full.v_template, full.faces)
+    share = volume(model.v_template, model.faces) / volume(full.v_template, full.faces)
     measures = {
         name: _short(np.moveaxis(np.concatenate([p[:1], p[1:] - p[:1]]), 0, -1))
         for name, p in points.items()
     }
     # sums of so many squares, as rare as a person so far from the mean
     rarest = chdtri(np.arange(1, 7), 2 * ndtr(-ESTIMATE.max_sd))
-    return measures | {"density": np.array(density), "rarest": rarest}
+    densities = np.array([DENSITY, LEAN_DENSITY, DENSITY_SLOPE, *WAISTS])
+    return measures | {"volume_share": np.array(share), "densities": densities, "rarest": rarest}
 
 
 def _tapes(model: Any, people: np.ndarray) -> dict[str, np.ndarray]:
@@ -151,6 +163,9 @@ def build(path: Path, small: bool = True) -> Path:
             file = io.BytesIO()
             (np.savez_compressed if small else np.savez)(file, **body_arrays(name))
             archive.writestr(f"habitus_body/{name}.npz", file.getvalue(), zipfile.ZIP_STORED)
+        for tone in TONES:
+            picture = png(skin_layout(habitus.load_body("neutral", detail="full"), tone).image)
+            archive.writestr(f"habitus_body/skin_{tone}.png", picture, zipfile.ZIP_STORED)
     return path
 
 

@@ -22,6 +22,7 @@ from .motions import add_markers, animate, simulate, write_motion
 from .person import (
     BETAS,
     SHIPPED,
+    TONES,
     add_person,
     body_called,
     body_of,
@@ -32,6 +33,7 @@ from .person import (
     known,
     snap_to_ground,
     tell,
+    wear_skin,
 )
 from .tailor import NAMES
 
@@ -268,6 +270,7 @@ class HABITUS_PT_panel(bpy.types.Panel):
         if not person.habitus_file:
             layout.prop(person, "habitus_sex", text="Sex")
             layout.prop(person, "habitus_age", text="Age (0: adult)")
+            layout.prop(person, "habitus_skin", text="Skin")
             for k, name in enumerate(NAMES):
                 row = layout.row(align=True)
                 row.prop(person, "habitus_known", index=k, text="")
@@ -302,7 +305,9 @@ def _export_menu(self, _context):
 
 def _properties():
     sexes = [(name, name.capitalize(), "") for name in SHIPPED]
+    tones = [(name, name.capitalize(), "") for name in (*TONES, "none")]
     properties = {
+        "skin": EnumProperty(name="Skin", items=tones, default="medium", update=wear_skin),
         "file": StringProperty(name="Body's file"),
         "sex": EnumProperty(name="Sex", items=sexes, update=fit_measures),
         "age": FloatProperty(name="Age", min=0.0, max=90.0, update=fit_measures),

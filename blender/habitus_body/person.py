@@ -18,6 +18,10 @@ BETAS, KEY, TISSUE = 24, "correctives", "soft_tissue_"
 UPRIGHT = Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1)))
 """From the body's space (+y up) to Blender's (+z up)."""
 SHIPPED = ("neutral", "female", "male")
+TONES = ("light", "medium", "dark")
+"""Of the skins that came with the add-on."""
+ROUGHNESS = 0.6
+"""Of the skin, as in habitus' glTF files."""
 _loaded: dict = {}
 _busy: set = set()
 
@@ -69,7 +73,32 @@ def add_person(context, name="neutral", betas=(), age=0.0):
     armature.matrix_world = UPRIGHT
     person["habitus"] = 1
     set_shape(context, person, betas, age, name)
+    wear_skin(person)
     return person
+
+
+def wear_skin(person, _context=None):
+    """Give a person the material of the chosen skin; none for the body of a file."""
+    person.data.materials.clear()
+    if person.habitus_skin in TONES and not person.habitus_file:
+        person.data.materials.append(_skin_material(person.habitus_skin))
+
+
+def _skin_material(tone):
+    """The material of a tone, the same for all people."""
+    name = f"habitus skin {tone}"
+    if name in bpy.data.materials:
+        return bpy.data.materials[name]
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    picture = nodes.new("ShaderNodeTexImage")
+    picture.image = bpy.data.images.load(str(Path(__file__).parent / f"skin_{tone}.png"))
+    picture.image.pack()  # files stay whole without the add-on
+    surface = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    surface.inputs["Roughness"].default_value = ROUGHNESS
+    material.node_tree.links.new(picture.outputs["Color"], surface.inputs["Base Color"])
+    return material
 
 
 def snap_to_ground(context, person):
@@ -179,7 +208,7 @@ def reshape(person, context):
             bone = armature.data.edit_bones[name]  # keys stay true: it keeps how it is turned
             along = np.array(bone.tail) - np.array(bone.head)
             bone.head, bone.tail = place, place + along
-    if "density" in model.arrays:
+    if "densities" in model.arrays:
         with _quietly(person):
             for name, value in zip(NAMES, measure(model, betas, age)[0], strict=True):
                 if name not in known(person):
@@ -220,7 +249,7 @@ def fit_measures(person, context):
         return
     wanted = {name: getattr(person, f"habitus_{name}") for name in known(person)}
     model = body_of(person)
-    if wanted and "density" in model.arrays:
+    if wanted and "densities" in model.arrays:
         try:
             betas = tailored(model, wanted, person.habitus_age)
         except (ValueError, np.linalg.LinAlgError):

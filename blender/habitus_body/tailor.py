@@ -25,15 +25,17 @@ def measure(body: Body, betas: np.ndarray, age: float = 0.0) -> tuple[np.ndarray
         _end(body.arrays[name], c, sign)
         for name, sign in (("sole", -1), ("crown", 1), ("crotch", -1))
     )
-    weight = _weight(body, betas, age)
-    measured = [
+    lengths = [
         (crown[0] - sole[0], crown[1] - sole[1]),
-        (weight[0], None),
         *(_girth(body.arrays, name, shares, c) for name in ("chest", "waist", "hip")),
         (crotch[0] - sole[0], crotch[1] - sole[1]),
     ]
-    slopes = [weight[1] if way is None else shape * way[1 + len(shares) :] for _, way in measured]
-    return np.array([value for value, _ in measured]), np.array(slopes)
+    height, chest, waist, hip, inseam = (
+        (value, shape * way[1 + len(shares) :]) for value, way in lengths
+    )
+    weight = _weight(body, betas, age, waist, height)
+    measured = height, weight, chest, waist, hip, inseam
+    return np.array([value for value, _ in measured]), np.array([way for _, way in measured])
 
 
 def _end(points: np.ndarray, c: np.ndarray, sign: int) -> tuple[float, np.ndarray]:
@@ -63,8 +65,17 @@ def _tape(points: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray]:
     return np.pi * float(np.ptp(along, axis=0).mean()), np.pi / DIRECTIONS * slope
 
 
-def _weight(body: Body, betas: np.ndarray, age: float) -> tuple[float, np.ndarray]:
-    """The mass (kg) of what the skin holds, and its slopes along the betas."""
+def _weight(
+    body: Body,
+    betas: np.ndarray,
+    age: float,
+    waist: tuple[float, np.ndarray],
+    height: tuple[float, np.ndarray],
+) -> tuple[float, np.ndarray]:
+    """The mass (kg) of what the skin holds, and its slopes along the betas.
+
+    The density of adults of unknown age falls with waist over height, as in habitus.
+    """
     points = body.rest(betas, age)
     quads = body.arrays["faces"]
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
@@ -75,9 +86,16 @@ def _weight(body: Body, betas: np.ndarray, age: float) -> tuple[float, np.ndarra
         for axis in range(3):
             pushes[:, axis] += np.bincount(triangles[:, k], shadow[:, axis], len(points))
     shape = body.grown(age)[2]
-    volume = float(np.einsum("nc,nc->", points, pushes)) / 3
-    density = float(body.arrays["density"])
-    return density * volume, density * shape * np.tensordot(pushes, body.arrays["shapedirs"], 2)
+    share = float(body.arrays["volume_share"])
+    volume = share * float(np.einsum("nc,nc->", points, pushes)) / 3
+    slopes = share * shape * np.tensordot(pushes, body.arrays["shapedirs"], 2)
+    density, lean, fall, least, most = body.arrays["densities"].tolist()
+    if age > 0:
+        return density * volume, density * slopes
+    ratio = waist[0] / height[0]
+    density = lean + fall * float(np.clip(ratio, least, most))
+    bent = fall * (least < ratio < most) * (waist[1] - ratio * height[1]) / height[0]
+    return density * volume, density * slopes + volume * bent
 
 
 def tailored(body: Body, wanted: dict, age: float = 0.0) -> np.ndarray:

@@ -16,6 +16,7 @@ from read_blender import PROGRAMS
 from synthetic_fit import tube_body
 
 import habitus as hb
+from habitus.body.skin import skin_of
 from habitus.io.models.bodies import save_body
 from habitus.jobs.results import Motion
 from habitus.rotations import up_rotation
@@ -53,6 +54,14 @@ for k, sex in enumerate(("female", "neutral", "male")):
         bpy.ops.habitus.add(sex=sex)
         context.view_layer.update()
         found["new"] = seen(context.object)
+        skins = []
+        for tone in ("medium", "dark", "none"):
+            skins.append([each.name for each in context.object.data.materials])
+            context.object.habitus_skin = "none" if tone == "dark" else "dark"
+        found["skins"] = [" ".join(each) for each in skins]
+        nodes = bpy.data.materials["habitus skin dark"].node_tree.nodes
+        (texture,) = (node for node in nodes if node.type == "TEX_IMAGE")
+        found["texture"] = np.array(texture.image.pixels).reshape(*texture.image.size, -1)
         context.object.parent.location.z = 0.0
     person = context.object
     person.habitus_sex = sex
@@ -112,6 +121,7 @@ assert bpy.ops.habitus.add_file(filepath=f"{folder}/smpl.npz") == {"FINISHED"}
 assert bpy.ops.habitus.import_npz(filepath=f"{folder}/other.npz") == {"FINISHED"}
 scene.frame_set(4)
 found["other"] = seen(context.object)
+found["bare"] = len(context.object.data.materials)
 assert bpy.ops.habitus.export_fbx(filepath=f"{folder}/folded") == {"FINISHED"}
 bpy.ops.habitus.add(sex="male")  # turned by hand, in one key, at the place where it stands
 person = context.object
@@ -230,6 +240,7 @@ def test_the_body_in_blender_is_the_body(tmp_path, addon, program):
     with np.load(tmp_path / "found.npz") as file:
         found = {name: file[name] for name in file.files}
     posed_people(given, found)
+    skins(given, found)
     people_from_measurements(given, found)
     motions(given, found, tmp_path)
     assert [
@@ -251,6 +262,13 @@ def posed_people(given: Given, found: dict[str, np.ndarray]) -> None:
             < 1e-4
         )
     assert abs(found["lowest"]) < 1e-5 and abs(found["new"][:, 2].min()) < 1e-5
+
+
+def skins(given: Given, found: dict[str, np.ndarray]) -> None:
+    assert found["skins"].tolist() == ["habitus skin medium", "habitus skin dark", ""]
+    known = skin_of(given.bodies[0].full.mesh, "dark").image  # Blender's rows begin at the bottom
+    assert np.abs(found["texture"][::-1, :, :3] - known / 255.0).max() < 1e-3
+    assert not found["bare"]
 
 
 def people_from_measurements(given: Given, found: dict[str, np.ndarray]) -> None:

@@ -131,9 +131,17 @@ def test_people_of_mean_height_and_mass_have_the_waists_of_the_survey(sex, heigh
     assert found.measurements["waist_circumference_m"] == pytest.approx(waist, abs=0.025)
 
 
-def test_the_solve_says_how_it_ended_and_no_step_away_is_cheaper():
-    body = load_body("neutral")
-    found = estimate_body(body, {"height": 1.82, "waist": 0.95})
+@pytest.mark.parametrize(
+    ("space", "asked"),
+    [
+        ("neutral", {"height": 1.82, "waist": 0.95}),
+        ("female", {"height": 1.62, "weight": 58.0}),  # extremes and hulls have kinks
+        ("male", {"height": 1.74, "weight": 92.0, "chest": 1.08}),
+    ],
+)
+def test_the_solve_says_how_it_ended_and_no_step_away_is_cheaper(space, asked):
+    body = load_body(space)
+    found = estimate_body(body, asked)
     assert found.status == "converged"
     names = list(found.measurements)
     rows = [names.index(name) for name in found.given]

@@ -49,6 +49,9 @@ class EstimateSettings:
     """Accepted and refused, at most; people within 6 sd take fewer than ten."""
     tolerance: float = 1e-5
     """Last step as a share of the betas' length: the step after it would be its square."""
+    cost_tolerance: float = 1e-6
+    """Relative fall of the energy that a step must promise: less is a thousandth of a beta's
+    standard deviation, where extremes of vertices and hulls of tapes have kinks."""
     difference: float = 0.05
     """Standard deviations of a beta: difference quotient of the measurements by the betas."""
     max_step: float = 2.0
@@ -191,7 +194,7 @@ def _likeliest(
             "dogleg",
             max_iterations=settings.iterations,
             max_step={"betas": settings.max_step},
-            tolerances=Tolerances(step=settings.tolerance),
+            tolerances=Tolerances(step=settings.tolerance, cost=settings.cost_tolerance),
             callback=too_far,
         )
         betas, status = solution.values["betas"], solution.status
