@@ -140,8 +140,8 @@ class TrainOptions:
     """
     rotation_prior: float = 0.0
     """Weight mu of E_R, which keeps local pose blend shapes small at rotations by 0 to 90 degrees
-    that no registration shows (`habitus.learn.posing.rotation_prior`); 0 leaves it out, 0.003
-    damped those of the default body.
+    that no registration shows (`habitus.learn.posing.rotation_prior`); 0 leaves it out, 0.01
+    is that of the default bodies.
     """
     hinges: tuple[float, ...] = ()
     """Bends (degrees) where channels of knees and elbows begin, learned at the end for deep folds

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from habitus.body.pose_features import POSE_FEATURES
-from habitus.learn.posing.rotation_prior import damped, rotation_gram
+from habitus.learn.posing.rotation_prior import rotation_gram
 
 ENTRIES = POSE_FEATURES["rotations"]
 
@@ -40,36 +40,3 @@ def test_other_features_have_the_mean_of_random_rotations(name) -> None:
     np.testing.assert_allclose(
         rotation_gram(features), drawn.T @ drawn / len(axes), atol=0.01, rtol=0.03
     )
-
-
-def test_damping_keeps_what_the_poses_determine_and_removes_what_they_do_not() -> None:
-    """A hinge that bends about x alone: bending stays, a twist about y goes."""
-    rng = np.random.default_rng(1)
-    posedirs = 0.05 * rng.normal(size=(40, 3, 9))
-    bent = ENTRIES.value(np.linspace(0, 2, 50)[:, None] * [1.0, 0, 0])
-    noise = ENTRIES.value(np.radians(0.5) * rng.normal(size=(50, 3)))
-    trained = np.concatenate([bent, noise])
-    gram = (trained.T @ trained / len(trained))[None]
-    found = damped(posedirs, gram, rotation_gram(ENTRIES), 0.003)
-    change = (found - posedirs) @ bent.T
-    assert np.sqrt((change**2).mean()) < 0.02 * np.sqrt(((posedirs @ bent.T) ** 2).mean())
-    twist = ENTRIES.value(np.array([0, 1.0, 0])) - ENTRIES.value(np.array([0, -1.0, 0]))
-    assert np.linalg.norm(found @ twist) < 0.3 * np.linalg.norm(posedirs @ twist)
-
-
-def test_damping_is_the_minimum_of_both_quadratics() -> None:
-    rng = np.random.default_rng(2)
-    posedirs = rng.normal(size=(5, 3, 18))
-    features = rng.normal(size=(60, 2, 9))
-    grams = np.einsum("ndi,ndj->dij", features, features) / 60
-    wide = rotation_gram(ENTRIES)
-
-    def cost(table: np.ndarray) -> float:
-        away, blocks = ((t.reshape(5, 3, 2, 9)) for t in (table - posedirs, table))
-        trained = np.einsum("vcdi,dij,vcdj->", away, grams, away)
-        return trained + 0.2 * np.einsum("vcdi,ij,vcdj->", blocks, wide, blocks)
-
-    best = damped(posedirs, grams, wide, 0.2)
-    for _ in range(5):
-        moved = 1e-3 * rng.normal(size=best.shape)
-        assert min(cost(best + moved), cost(best - moved)) > cost(best)

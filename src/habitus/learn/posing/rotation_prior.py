@@ -7,12 +7,7 @@ degrees about every axis, with a small weight mu against the N registrations:
 
     E_R = mu N sum_j tr(P_j G_w P_j'),      G_w = E[f f'] over these rotations.
 
-Blend shapes that were trained without it are moved to the minimum of the two quadratics that each
-joint's own poses, G_j = mean f f', and the prior give (`damped`):
-
-    P_j <- P_j G_j (G_j + mu G_w)^-1.
-
-Directions that the poses hold fast stay; the others shrink.
+Directions that the poses determine stay; the others shrink.
 """
 
 import numpy as np
@@ -48,17 +43,3 @@ def _lebedev_26() -> tuple[Float[np.ndarray, "26 3"], Float[np.ndarray, " 26"]]:
     size = (steps**2).sum(1)
     axes = steps[size > 0] / np.sqrt(size[size > 0])[:, None]
     return axes, np.array([1 / 21, 4 / 105, 9 / 280])[size[size > 0].astype(int) - 1]
-
-
-def damped(
-    posedirs: Float[np.ndarray, "V 3 F"],
-    grams: Float[np.ndarray, "D k k"],
-    wide: Float[np.ndarray, "k k"],
-    weight: float,
-) -> Float[np.ndarray, "V 3 F"]:
-    """P_j G_j (G_j + mu G_w)^-1 for each of D joints, F = D k: blend shapes (m) that were trained
-    on poses of moments ``grams``, as the prior of ``weight`` mu would have left them.
-    """
-    blocks = posedirs.reshape(*posedirs.shape[:2], *grams.shape[:2])
-    matrices = np.linalg.solve(grams + weight * wide, grams).swapaxes(-1, -2)
-    return np.einsum("vcdi,dij->vcdj", blocks, matrices).reshape(posedirs.shape)

@@ -26,7 +26,7 @@ from habitus.learn.steps.hinges import (
     solve_fold,
     with_folds,
 )
-from habitus_lab.default_body.flesh.damping import FLIP
+from habitus_lab.default_body.flesh.symmetry import FLIP
 from habitus_lab.default_body.rig import JOINT_MIRROR
 
 BEGINS = (60.0, 90.0, 115.0, 135.0)  # degrees of a bend where channels begin

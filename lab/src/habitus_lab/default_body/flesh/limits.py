@@ -33,10 +33,10 @@ from habitus.body.prior import shipped_prior
 from habitus.learn.posing.rig import Rig
 from habitus.learn.posing.rotation_prior import rotation_gram
 from habitus.learn.posing.surface import posed
-from habitus_lab.default_body.flesh.damping import symmetric
 from habitus_lab.default_body.flesh.gates import volume
 from habitus_lab.default_body.flesh.poses import mirrored_pose, named
 from habitus_lab.default_body.flesh.ranges import FAR, Rotation, limits, rotations, turned
+from habitus_lab.default_body.flesh.symmetry import symmetric
 
 WEIGHTS = {"collar": 0.001, "shoulder": 0.0}  # mu; simulated poses change by .3 mm RMS
 SATURATED = ("collar", "hip", "head")
