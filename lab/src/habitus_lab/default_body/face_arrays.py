@@ -148,8 +148,8 @@ def kept_apart(
     rest = arrays["v_template"].astype(float)
     mirror = arrays["mirror"]
     count = every.shape[-1]
-    nobody = np.zeros(1), np.zeros((1, count))
-    space = ShapeSpace(rest, every, np.zeros((1, count)), np.ones(count), 0.0, *nobody)
+    nothing = np.zeros(1), np.zeros((1, count))
+    space = ShapeSpace(rest, every, np.zeros((1, count)), np.ones(count), 0.0, *nothing)
     found, _ = apart(space, skins, mirror, rest, np.random.default_rng(0))
     ends = np.cumsum([arrays[name].shape[-1] for name in names])[:-1]
     parts = np.split(found.shapedirs, ends, -1)
@@ -163,8 +163,9 @@ def kept_apart(
     for offset, spread in zip(np.moveaxis(ages, -1, 0), arrays["age_spread"], strict=True):
         size = np.ptp(rest[:, 1] + offset[:, 1]) / height
         own = size * spread * shapes
-        nothing = Meetings(len(rest), {})
-        opened.append(with_room(rest + offset, size * rest, own, skins, mirror, nothing) - rest)
+        meetings = Meetings(len(rest), {})
+        mean = with_room(rest + offset, size * rest, own, skins, mirror, meetings)
+        opened.append(mean - rest)
     return changed | {"agedirs": np.stack(opened, -1).astype(arrays["agedirs"].dtype)}
 
 

@@ -1,5 +1,5 @@
-"""Learn hinge channels of knees and elbows, and their turns about rare axes, from simulated flesh on
-top of a body's pose blend shapes (`habitus.learn.steps.hinges`).
+"""Learn hinge channels of knees and elbows, and their turns about rare axes, from simulated flesh,
+on top of a body's pose blend shapes (`habitus.learn.steps.hinges`).
 
 What all simulated poses say of a joint's blend shapes is kept by their moments. The left side is
 learned, from everyone and their mirror images; the right side is its mirror image. Collars are left
@@ -115,8 +115,10 @@ def degrees(surface: Surface, joint: int) -> float:
 
 
 def errors(bodies: dict[str, BodyModel], data: list[Surface]) -> dict[str, dict[str, float]]:
-    """Mean distance (mm) from raw surfaces of the set "test" of people that were left out and of the
-    others, by joint and its turn, of each body, and how many surfaces there are; the last body's blend shapes say what a joint moves.
+    """Mean distance (mm) from raw surfaces of the set "test", of people that were left out and of
+    others, by joint and its turn, of each body, and how many surfaces there are.
+
+    The last body's blend shapes determine which vertices a joint moves.
     """
     tested = [one for one in data if one.tested]
     known = {one.person for one in data if not one.tested}

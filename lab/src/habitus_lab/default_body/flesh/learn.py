@@ -4,9 +4,10 @@ files.
     python -m habitus_lab.default_body.flesh.learn FLESH [female male neutral] [--bodies FOLDER]
         [--numbers FILE]
 
-FLESH is what `run.py --gather` wrote: a folder a sex; the neutral body learns from both. Each body is
-trained as `habitus train` does it (docs/training.md), given hinge channels, and held beyond the
-ranges of its joints. Everything else in its file stays as it is. The numbers are mean distances (mm) from simulated surfaces about knees and elbows.
+FLESH is what `run.py --gather` wrote: a folder a sex; the neutral body learns from both. Each body
+is trained as `habitus train` does it (docs/training.md), given hinge channels, and held beyond the
+ranges of its joints. Everything else in its file stays as it is. The numbers are mean distances
+(mm) from simulated surfaces about knees and elbows.
 """
 
 from __future__ import annotations
