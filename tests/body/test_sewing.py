@@ -93,7 +93,7 @@ def test_they_hold_together(people):
 
 def test_mean_people_measure_as_surveys_have_them(people):
     """ANSUR II's means (cm), within what its and our definitions differ: 4 % in heights and along
-    the arm, 10 % over the neck, the shoulder and the crotch.
+    the arm, 11 % over the neck, the shoulder and the crotch.
     """
     survey = {
         "female": {"armpit_height_m": 123.9, "arm_length_m": 54.4, "shoulder_length_m": 13.5,
@@ -104,7 +104,7 @@ def test_mean_people_measure_as_surveys_have_them(people):
     for sex, means in survey.items():
         found = people[sex].measure(people[sex].people_mean)
         for name, value in means.items():
-            within = 0.04 if name.startswith(("arm", "heel")) else 0.10
+            within = 0.04 if name.startswith(("arm", "heel")) else 0.11
             assert 100 * found[name] == pytest.approx(value, rel=within), (sex, name)
         area = found["surface_area_m2"]
         weight, height = found["mass_kg"], 100 * found["height_m"]

@@ -50,7 +50,7 @@ def rows_of(path) -> tuple[list[str], np.ndarray]:
 
 @pytest.mark.parametrize(
     ("name", "theirs", "offset", "shape"),
-    [("pelvis_tilt", "PelvisAngles", 3.0, 1.5), ("hip_flexion", "HipAngles", 4.0, 2.2),
+    [("pelvis_tilt", "PelvisAngles", 3.0, 1.5), ("hip_flexion", "HipAngles", 4.7, 2.2),
      ("knee_flexion", "KneeAngles", 3.0, 2.0), ("ankle_dorsiflexion", "AnkleAngles", 4.0, 2.5)],
 )  # fmt: skip
 def test_sagittal_angles_agree_with_plug_in_gait(walk, shared, name, theirs, offset, shape):

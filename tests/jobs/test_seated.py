@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from habitus.body.seated import SEATED, seated_pose
+from habitus.body.seated import SEATED, UNRELIABLE, seated_pose
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
 from habitus.jobs.measuring import measure_file
@@ -44,8 +44,9 @@ def test_heights_add_up_and_sizes_scale():
         measured["shoulder_height_sitting_m"],
     )
     larger = body.measure_rest(1.1 * rest, posture="seated")
-    for name, value in measured.items():
-        np.testing.assert_allclose(larger[name], 1.1 * value, rtol=0.015, err_msg=name)
+    for name, value in measured.items():  # pose blend shapes do not grow with the person
+        rtol = 0.08 if name in UNRELIABLE else 0.015
+        np.testing.assert_allclose(larger[name], 1.1 * value, rtol=rtol, err_msg=name)
 
 
 def test_longer_shanks_lift_the_knees_alone():

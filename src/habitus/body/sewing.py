@@ -23,9 +23,9 @@ _FRONT, _BACK = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 _UP, _OUT = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
 _OVER = (0.0, 0.6, -1.0)  # the shoulders, below the seventh neck vertebra
 _NAPE_OUT, _THROAT_OUT = (0.5, 1.0, -0.7), (0.5, 0.7, 1.0)  # off the skin at the neck's base
-_TURN = (-2.0, -1.0)
+_TURN = (-1.8, -1.0)
 """Into the hollow between neck and shoulder, across and up: the side neck point lies farthest that
-way, where the outline is 63 degrees steep."""
+way, where the outline is 61 degrees steep."""
 _BELOW_CROTCH = 0.005  # metres that the skin of the trunk reaches below the crotch
 _NARROW = 1e-9
 _DIRECTIONS = 60  # in which a hull's width is taken: right to 2e-4

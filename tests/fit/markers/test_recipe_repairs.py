@@ -59,7 +59,7 @@ def test_a_pair_that_changes_places_for_a_time_is_put_back(clean, quickly, pair)
     assert np.nanmedian(found.errors("pose")) < np.nanmedian(quickly.errors("pose")) + 2 * NOISE
 
 
-@pytest.mark.parametrize("pair", [("LWRA", "LWRB"), ("CLAV", "STRN")])
+@pytest.mark.parametrize("pair", [("LFWT", "LBWT"), ("CLAV", "STRN")])
 def test_a_pair_exchanged_throughout_is_put_right(clean, quickly, pair):
     found = fit(clean, exchanged(clean, *pair), QUICK)
     np.testing.assert_array_equal(found.observed_markers, clean.observed)
@@ -72,12 +72,18 @@ def test_a_pair_exchanged_throughout_is_put_right(clean, quickly, pair):
     np.testing.assert_allclose(found.betas, quickly.betas, atol=0.1)
 
 
+def test_of_wrist_markers_exchanged_throughout_one_is_named(clean):
+    """A forearm that is turned by half explains one of them: it is not always put right."""
+    found = fit(clean, exchanged(clean, "LWRA", "LWRB"), QUICK)
+    assert set(accused(found)) & {"LWRA", "LWRB"}
+
+
 def test_frames_of_an_exchange_count_where_both_markers_are_seen(clean):
-    observed = exchanged(clean, "LWRA", "LWRB")
-    observed[5:12, clean.column("LWRA")] = np.nan
+    observed = exchanged(clean, "CLAV", "STRN")
+    observed[5:12, clean.column("CLAV")] = np.nan
     found = fit(clean, observed, QUICK)
-    assert accused(found)["LWRB"] == ("swapped with LWRA; exchanged back", 53)
-    assert np.isnan(found.observed_markers[5:12, clean.column("LWRB")]).all()
+    assert accused(found)["STRN"] == ("swapped with CLAV; exchanged back", 53)
+    assert np.isnan(found.observed_markers[5:12, clean.column("STRN")]).all()
 
 
 def test_a_fallen_marker_has_no_say():
