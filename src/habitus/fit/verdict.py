@@ -318,9 +318,11 @@ def proportion_reasons(
     level = above(distance, limits.proportions)
     if level == GOOD:
         return
-    rest = [k for k, name in enumerate(RIGID) if name not in HEADS]
-    covariance = np.linalg.inv(ADULTS_WHITENING.T @ ADULTS_WHITENING)[np.ix_(rest, rest)]
-    without = float(np.sqrt(logs[rest] @ np.linalg.solve(covariance, logs[rest])))
+    head = np.isin(RIGID, HEADS)
+    seen = ADULTS_WHITENING[:, ~head] @ logs[~head]
+    # the head that makes such a body likeliest
+    nearest = np.linalg.lstsq(ADULTS_WHITENING[:, head], seen)[0]
+    without = float(np.linalg.norm(seen - ADULTS_WHITENING[:, head] @ nearest))
     part = limits.head if without <= limits.without_head else BODY
     yield Reason(level, "proportions", {"distance": distance}, part)
 
