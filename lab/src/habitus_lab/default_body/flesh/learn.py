@@ -31,8 +31,8 @@ from habitus_lab.default_body.flesh.symmetry import symmetric
 from habitus_lab.repository import BODIES
 
 ROTATIONS = 0.01
-"""mu of the prior on rotations that were not simulated. Blend shapes damped by .003 after a training
-without it had errors .1 mm smaller, and four or five more rotations missed the gate."""
+"""mu of the prior on rotations that were not simulated. Blend shapes damped by .003 after a
+training without it had errors .1 mm smaller, and four or five more rotations missed the gate."""
 
 
 def learned_body(body: BodyModel, space: str, flesh: Path) -> tuple[BodyModel, dict]:
