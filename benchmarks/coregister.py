@@ -36,13 +36,12 @@ from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import ScanStage
 from habitus.fit.selection.held_out import smooth_field
 from habitus.fit.selection.problem import SELECTION
+from habitus.jobs.coregister import trained
 from habitus.mesh.normals import vertex_normals
-from habitus.mesh.registrations import Registrations
 from habitus_lab.population.scans import BONY, Scanner, scanned, stance
 
 POSES = ("A", "elbows bent", "step")
 UNSEEN = "arms forward"
-HELD = ("skinning_weights", "posedirs", "joint_regressor")
 EXACT = (ScanStage(12, points=100_000, scale=0.1, noise=0.005, slide=1.0),)
 
 
@@ -115,26 +114,6 @@ def in_a_new_pose(
     return distances(found, truths)
 
 
-def registrations(fits: list[list[ScanFit]]) -> Registrations:
-    """What a body is trained on."""
-    every = [(k, fit) for k, each in enumerate(fits) for fit in each]
-    return Registrations(
-        np.stack([fit.vertices for _, fit in every]),
-        every[0][1].body.faces,
-        tuple(f"woman {k}" for k, _ in every),
-        ("female",) * len(every),
-        ("pose",) * len(every),
-        tuple(fit.scan_name for _, fit in every),
-        np.stack([fit.weights for _, fit in every]),
-    )
-
-
-def trained(fits: list[list[ScanFit]], count: int) -> BodyModel:
-    """The body that the registrations give."""
-    trainer = habitus.Trainer(start="body", fixed=HELD, num_betas=count, rounds=3)
-    return trainer.fit(registrations(fits), template=habitus.load_body("default"), workers=1).body
-
-
 def main() -> None:
     """Run the rounds, print them and write them."""
     arguments = parser(__doc__, out=True)
@@ -169,7 +148,8 @@ def main() -> None:
         rounds.append(row)
         console.print(row)
         if number + 1 < options.rounds:
-            body = trained(fits, options.people)
+            people_fits = {f"woman {k}": each for k, each in enumerate(fits)}
+            body = trained(registrar.body, people_fits)
     table = Table(
         "round",
         "body",

@@ -115,9 +115,11 @@ def person_rows(path: Path, options: argparse.Namespace) -> list[dict]:
 
 
 def strongest(body: BodyModel) -> np.ndarray:
-    """The name among `PARTS` of each vertex, by its strongest joint."""
+    """The name among `PARTS` of each vertex, by its strongest joint: a finger is the hand's."""
     owner = {joint: part for part, joints in PARTS.items() for joint in joints}
-    names = [owner.get(name, "torso") for name in body.joint_names]
+    names: list[str] = []
+    for name, parent in zip(body.joint_names, body.parents, strict=True):
+        names.append(owner.get(name) or names[parent])
     return np.array(names)[np.asarray(body.skinning_weights).argmax(1)]
 
 

@@ -63,6 +63,15 @@ class PosePrior:
             np.asarray(block_diag(rest.covariance, other.covariance)),
         )
 
+    def joint_deviations(self, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " N"]:
+        """How far each joint's rotation by itself (rad; root first, left out) is from the mean, in
+        standard deviations of that joint.
+        """
+        off = (pose[1:].ravel() - self.mean).reshape(-1, 3)
+        own = np.arange(len(self.covariance)).reshape(-1, 3)
+        blocks = self.covariance[own[:, :, None], own[:, None, :]]
+        return np.sqrt(np.einsum("ni,ni->n", off, np.linalg.solve(blocks, off[..., None])[..., 0]))
+
     @property
     def precision(self) -> Float[np.ndarray, "n n"]:
         """Inverse covariance."""

@@ -358,6 +358,15 @@ class RegisterOptions:
     """Every scan is another person."""
     sequence: Flag = False
     """The scans are in time order: each starts from the result before."""
+    coregister: Flag = False
+    """Every folder is one person in some poses: a body is trained on the registrations of two
+    people or more and registers all of them again (needs PyTorch).
+    """
+    clothes: Literal["none", "tight", "loose", "auto"] = "none"
+    """What the person wears: tight clothes (1 mm on trunk and thighs, 3 mm of hair) are subtracted
+    from the skin; under loose ones it is estimated; "auto" takes loose where a tenth of the scan
+    lies 20 mm outside the model.
+    """
     texture: Flag = False
     """Use the colours of two or more scans of the person to refine their correspondences."""
     seed: Annotated[int, metavar("N")] = 0

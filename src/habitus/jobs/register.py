@@ -15,14 +15,15 @@ from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours
-from habitus.fit.points.scan_result import ScanFit
+from habitus.fit.points.scan_result import LIMITS, ScanFit
 from habitus.fit.points.scans import Registrar
-from habitus.fit.points.settings import SCANS, ScanSettings
-from habitus.io.models.bodies import SHIPPED
+from habitus.fit.points.settings import CLOTHES, SCANS, ScanSettings
+from habitus.io.models.bodies import SHIPPED, save_body
 from habitus.io.names import file_name, one_file
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
+from habitus.jobs.coregister import coregistered
 from habitus.jobs.options import RegisterOptions, takes
 from habitus.jobs.results import with_methods
 from habitus.kernels.threads import one_blas_thread
@@ -33,7 +34,17 @@ from habitus.types import PathLike, Progress
 
 DATASET = "registrations.npz"
 """What `habitus train` reads, beside the folders of the scans."""
+TRAINED = "coregistered.npz"
+"""The body that coregistration trains."""
 SEXES = ("female", "male")
+EXCLUSIVE = {
+    ("separate", "sequence"): "a sequence is of one person",
+    ("separate", "texture"): "colours are compared within one person",
+    ("coregister", "separate"): "coregister takes a folder for each person",
+    ("coregister", "sequence"): "coregister takes scans in no order",
+    ("coregister", "texture"): "coregister takes no colours",
+}
+"""Options that exclude each other, and why."""
 
 
 class ScanResult(ScanFit):
@@ -74,32 +85,41 @@ def register_scans(
     sex = options.sex or ""
     if sex not in ("", *SEXES):
         raise HabitusError(f"sex is {sex!r}; expected {' or '.join(SEXES)}, or nothing")
-    if options.separate and options.sequence:
-        raise HabitusError(
-            "separate and sequence were given; expected one: a sequence is of one person"
-        )
+    for one, other in EXCLUSIVE:
+        if getattr(options, one) and getattr(options, other):
+            raise HabitusError(
+                f"{one} and {other} were given; expected one of them: {EXCLUSIVE[one, other]}"
+            )
+    if options.coregister and options.clothes == "auto":
+        raise HabitusError("clothes is 'auto'; with coregister expected none, tight or loose")
     given = [scans] if isinstance(scans, Scan | str | os.PathLike) else list(scans)
     if not given:
         raise HabitusError("no scans were given; expected files, folders or points")
     with result_lock(out, SCAN_FILES):
-        read = [one for each in given for one in _read(each)]
+        people = _people(given, options)
+        read = [scan for each in people.values() for scan in each]
         if options.texture:
-            if options.separate:
-                raise HabitusError(
-                    "texture and separate were given; expected one: colours are compared within "
-                    "one person"
-                )
             check_colours(read)
         names = _folders(read, Path(out)) if out is not None else []
-        registrar = made_ready(body, options.age, options.settings or SCANS)
+        settings = replace(options.settings or SCANS, clothes=CLOTHES[options.clothes])
+        registrar = made_ready(body, options.age, settings)
         asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
+        trained = None
         with one_blas_thread():
-            if options.sequence:
-                fits = _in_time(registrar, read, asked, progress)
-            elif options.separate:
-                fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
+            if options.coregister:
+                registrar = replace(registrar, others=(), fingered=None)
+                done = coregistered(registrar, people, asked, progress)
+                trained = done.body
+                fits = [fit for each in done.fits.values() for fit in each]
             else:
-                fits = registrar.register(read, **asked, progress=progress)
+                run = _in_time if options.sequence else _together
+                fits = []
+                for each in people.values():
+                    found = run(registrar, each, asked, progress)
+                    if options.clothes == "auto" and loosely_clothed(found):
+                        loose = replace(settings, clothes=CLOTHES["loose"])
+                        found = run(made_ready(body, options.age, loose), each, asked, progress)
+                    fits += found
             if options.texture:
                 progress("colours", 0.9)
                 fits = with_colours(
@@ -111,12 +131,37 @@ def register_scans(
         if out is not None:
             for fit, name in zip(results, names, strict=True):
                 fit.save(Path(out) / name)
-            subjects = (
-                names if options.separate else [file_name(Path(out).resolve().name)] * len(fits)
-            )
+            if options.separate:
+                subjects = names
+            elif options.coregister:
+                subjects = [name for name, each in people.items() for _ in each]
+            else:
+                subjects = [file_name(Path(out).resolve().name)] * len(fits)
             write_registrations(_dataset(fits, names, subjects, sex), Path(out) / DATASET)
+            if trained is not None:
+                save_body(trained, Path(out) / TRAINED)
         progress("done", 1.0)
         return results
+
+
+def _people(given: Sequence[Scan | PathLike], options: RegisterOptions) -> dict[str, list[Scan]]:
+    """The scans of each person."""
+    if options.coregister:
+        names = [each.name if isinstance(each, Scan) else Path(each).stem for each in given]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise HabitusError(
+                f"several people are called {', '.join(twice)}; expected folders whose names differ"
+            )
+        return {name: _read(each) for name, each in zip(names, given, strict=True)}
+    scans = [one for each in given for one in _read(each)]
+    return {str(k): [scan] for k, scan in enumerate(scans)} if options.separate else {"": scans}
+
+
+def loosely_clothed(fits: Sequence[ScanFit]) -> bool:
+    """Whether most scans of a person lie so far outside their models as loose clothes do."""
+    outside = [fit.outside for fit in fits if fit.person]
+    return bool(outside) and float(np.median(outside)) > LIMITS.outside.doubtful
 
 
 def made_ready(
@@ -158,6 +203,13 @@ def _folders(scans: Sequence[Scan], out: Path) -> list[str]:
             f"several scans are called {', '.join(twice)}; expected names that differ; rename one"
         )
     return names
+
+
+def _together(
+    registrar: Registrar, scans: Sequence[Scan], asked: Mapping[str, Any], progress: Progress
+) -> list[ScanFit]:
+    """All scans of a person at once."""
+    return registrar.register(scans, **asked, progress=progress)
 
 
 def _in_time(

@@ -56,6 +56,10 @@ TEXTS = {
     "matched": "{share:.1f} % of the scan's points belong to the body.",
     "unexplained": "of the scan, in one connected part; a missing hand has half a percent",
     "seen": "of the body's vertices; the rest continues the model",
+    "cloth": (
+        "The skin under loose clothes is estimated from where the cloth touches it, from head, "
+        "hands and feet, and from the shapes of people."
+    ),
     "shape": (
         "Measured on the registered surface at rest. The shape is {times:.2f} standard deviations "
         "from the mean (root mean square of the coefficients)."
@@ -87,6 +91,7 @@ def scan_page(fit: "ScanFit", numbers: Mapping[str, Any]) -> str:
         _colours(fit),
         still_pictures(looks, root),
         columns(_distances(numbers), card("Processing of the scan", notes_list(fit.notes))),
+        _cloth(numbers),
         columns(
             card("Measurements", measurements_table(numbers["body_measurements"]), _shape(numbers)),
             _solution(numbers),
@@ -193,6 +198,15 @@ def _colours(fit: "ScanFit") -> str:
     used = fit.colours
     text = TEXTS["tone"].format(before=used.before, after=used.after, slid=1e3 * used.slid)
     return card("Colours", "", text)
+
+
+def _cloth(numbers: Mapping[str, Any]) -> str:
+    """How far loose clothes and hair are off the skin; empty where the scan was taken for skin."""
+    rows = [(region, f"{mm:.0f}") for region, mm in numbers["cloth_to_skin_mm"].items()]
+    if not rows:
+        return ""
+    heads = ("", "median distance from the skin, mm")
+    return card("Clothes and hair", numbers_table(rows, heads), TEXTS["cloth"])
 
 
 def _distances(numbers: Mapping[str, Any]) -> str:

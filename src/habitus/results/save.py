@@ -230,6 +230,7 @@ def scan_metrics(fit: "ScanFit") -> dict[str, Any]:
         "unexplained_fraction": fit.lost,
         "self_intersections": dict(fit.cuts),
         "observed_fraction": fit.seen,
+        "cloth_to_skin_mm": {region: 1e3 * each for region, each in fit.cloth.items()},
         "betas": fit.betas.tolist(),
         "pose_distance": fit.pose_distance,
         "up_axis": fit.up_axis,

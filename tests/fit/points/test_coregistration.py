@@ -3,16 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from habitus import Trainer, load_body
 from habitus.body.model import BodyModel
-from habitus.body.prior import PosePrior
+from habitus.body.prior import PosePrior, prior_of
 from habitus.body.state import BodyState
+from habitus.errors import HabitusError
 from habitus.fit.points.correspondences import Topology, vertex_weights
 from habitus.fit.points.free_surface import free_surface
-from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_fitting import ScanFitter
+from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import ScanStage
+from habitus.jobs.coregister import coregistered
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
 from habitus.residuals.points import PointSolver
@@ -115,3 +119,39 @@ def scanned(surface: np.ndarray, faces: np.ndarray, rng: np.random.Generator) ->
         for x in (surface, vertex_normals(surface, faces))
     )
     return Cloud(places, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def test_scans_of_people_are_registered_again_with_the_body_that_they_train():
+    body = coarse_body(load_body("default"), 400)
+    rng = np.random.default_rng(1)
+    swell = 0.012 * np.sin(body.v_template @ (7.0, 5.0, 6.0))[:, None]
+    other = replace(
+        body, v_template=body.v_template + swell * vertex_normals(body.v_template, body.faces)
+    )
+    people, truth, begin = {}, {}, {}
+    for person in ("anna", "ben"):
+        betas = np.where(np.arange(body.num_betas) < 5, rng.normal(size=body.num_betas), 0.0)
+        pose = 0.08 * rng.normal(size=(POSES, body.num_joints, 3))
+        truth[person] = [np.asarray(other(betas, one).vertices) for one in pose]
+        begin[person] = BodyState(np.zeros(body.num_betas), 0.5 * pose, np.zeros((POSES, 3)))
+        people[person] = [
+            Scan(f"{person} {k}", scanned(one, body.faces, rng).points)
+            for k, one in enumerate(truth[person])
+        ]
+    registrar = Registrar.of(body, prior_of(load_body("default")))
+    asked = {"up": "+y", "unit": "m"}
+    done = coregistered(registrar, people, asked, lambda stage, share: None, begin)
+
+    def off_model(fits):
+        found = []
+        for name, each in fits.items():
+            for fit, true in zip(each, truth[name], strict=True):
+                true = true @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
+                found.append(np.linalg.norm(fit.model_vertices - true, axis=1).mean())
+        return float(np.mean(found))
+
+    assert off_model(done.fits) < 0.95 * off_model(done.before)
+    assert all(fit.body is done.body for each in done.fits.values() for fit in each)
+    np.testing.assert_array_equal(done.body.skinning_weights, body.skinning_weights)
+    with pytest.raises(HabitusError, match="1 person; expected two people or more"):
+        coregistered(registrar, {"anna": people["anna"]}, asked, lambda stage, share: None)

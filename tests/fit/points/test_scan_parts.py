@@ -12,7 +12,8 @@ from habitus.errors import HabitusError
 from habitus.fit.points.correspondences import Topology, find_correspondences, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface
 from habitus.fit.points.scan import Cloud, Scan, agreed, cleaned, outward, plane_normals, turned
-from habitus.fit.points.scan_result import at_rest, judge_scan, lost_share
+from habitus.fit.points.scan_evidence import lost_share
+from habitus.fit.points.scan_result import at_rest, judge_scan
 from habitus.fit.points.settings import SurfaceStage
 from habitus.fit.verdict import PARTS
 from habitus.mesh.normals import vertex_normals
@@ -186,6 +187,11 @@ def test_the_verdict_follows_the_numbers():
         "limbs": {},
         "islands": 0.02,
         "head_seen": 0.9,
+        "points": 40_000,
+        "joint_deviation": 3.0,
+        "rarest_joint": "left_hip",
+        "outside": 0.005,
+        "clothed": 0.0,
         "measurements": {"height_m": 1.75},
         "body": SimpleNamespace(age=None, v_template=np.zeros((2, 3))),
     }
@@ -194,7 +200,9 @@ def test_the_verdict_follows_the_numbers():
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.01}, "doubtful"), ({"lost": 0.02}, "failed"),
         ({"matched": 0.5}, "failed"), ({"cuts": {"body": 150}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
         ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"),
-        ({"head_seen": 0.1}, "doubtful"),
+        ({"head_seen": 0.1}, "doubtful"), ({"points": 5000.0}, "doubtful"),
+        ({"joint_deviation": 7.0}, "doubtful"),
+        ({"outside": 0.03}, "doubtful"), ({"clothed": 0.5}, "doubtful"),
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
@@ -208,6 +216,8 @@ def scan_evidence(**changes):
     good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
+    good |= {"joint_deviation": 3.0, "rarest_joint": "neck"}
+    good |= {"points": 40_000, "outside": 0.005, "clothed": 0.0}
     good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "measurements": {}}
     good |= {"body": SimpleNamespace(age=None, v_template=np.zeros((2, 3)))}
     return SimpleNamespace(**(good | changes))

@@ -54,6 +54,10 @@ class Correspondences:
         """From the points to the surface (m)."""
         return np.linalg.norm(points - self.closest, axis=1)
 
+    def outside(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
+        """How far (m) the points lie off the surface along its normals."""
+        return ((points - self.closest) * self.normal).sum(1)
+
     def weights(
         self, points: Float[np.ndarray, "N 3"], scale: float, min_cosine: float
     ) -> Float[np.ndarray, " N"]:

@@ -10,19 +10,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from habitus.body.hand_space import has_hands
 from habitus.body.hands import HAND_JOINTS, HAND_POSES, SIDES, hand_pose
+from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
-from habitus.fit.points.correspondences import NORMAL_DISTANCE, Topology, find_correspondences
+from habitus.fit.points.correspondences import NORMAL_DISTANCE
 from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan_evidence import energy, lost_piece, lost_share
 from habitus.fit.points.scan_fitting import ScanFitter
-from habitus.fit.points.scan_result import lost_piece, lost_share
 from habitus.fit.points.scan_start import Guesser, Limb
 from habitus.fit.points.settings import ScanStage
+from habitus.fit.verdict import FEET, HANDS, part_of_joint
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 _TURNS = np.array(
@@ -207,15 +209,6 @@ def _outside(fitter: ScanFitter, state: BodyState, hand: Cloud, rows: np.ndarray
     return float((np.minimum(distance, fitter.settings.limbs.max_distance) * before).mean())
 
 
-def scan_distances(
-    topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud
-) -> Float[np.ndarray, " N"]:
-    """Distances (m) of a scan's points from a surface."""
-    return find_correspondences(topology, surface, cloud.points, cloud.normals).distances(
-        cloud.points
-    )
-
-
 def limbs_searched_again(
     guesser: Guesser,
     state: BodyState,
@@ -227,13 +220,54 @@ def limbs_searched_again(
     """
     settings = guesser.fitter.settings.limbs
     few = cloud.first(settings.checked_points)
-    distances = scan_distances(guesser.fitter.topology, surface, few)
+    distances = guesser.fitter.distances(surface, few)
     _, place = lost_piece(few.points, distances, settings)
     tried = state
     for limb in limbs_near(guesser, surface, place):
         tried = _anew(guesser, tried, cloud, limb)
     before, after = (_quickly_lost(guesser, one, few) for one in (state, tried))
     return tried if after < settings.improvement * before else None
+
+
+def with_usual_joints(guesser: Guesser, state: BodyState, cloud: Cloud) -> BodyState:
+    """The state of one scan with each arm, leg and head placed anew of which a joint is bent as
+    nobody's (`LimbSettings.unusual`), from where it is and from the prior's mean; what has less
+    energy stays.
+
+    An arm turned half about itself is held to the scan by its collar, and what of the scan that
+    leaves off the model is too little for `limbs_searched_again`.
+    """
+    fitter = guesser.fitter
+    settings = fitter.settings.limbs
+    mean = np.concatenate([np.zeros((1, 3)), fitter.prior.mean.reshape(-1, 3)])
+    ends = [
+        part in (HANDS, FEET)
+        for part in part_of_joint(fitter.body.joint_names, fitter.body.parents)
+    ]
+    few = cloud.first(settings.checked_points)
+
+    def cost(one: BodyState) -> float:
+        fit = fitter.fit_with_offsets(one, [few], settings.quick)
+        return energy(fitter, fit, [few])
+
+    for limb in guesser.limbs[: settings.whole_limbs]:
+        joints = [joint for joint in limb.joints if not ends[joint]]
+        unusual = fitter.prior.joint_deviations(state.pose[0])[np.array(joints) - 1]
+        if not joints or unusual.max() <= settings.unusual:
+            continue
+        reset = state.pose.copy()
+        reset[0, limb.joints] = mean[limb.joints]
+        tried = [
+            _anew(guesser, start, cloud, limb) for start in (state, replace(state, pose=reset))
+        ]
+        state = min([state, *tried], key=cost)
+    return state
+
+
+def extremities(body: BodyModel) -> Bool[np.ndarray, " J"]:
+    """Which joints are those of hands and feet, whose rotations the prior hardly knows."""
+    parts = part_of_joint(body.joint_names, body.parents)
+    return np.array([part in (HANDS, FEET) for part in parts])
 
 
 def limbs_near(
@@ -271,5 +305,5 @@ def _quickly_lost(guesser: Guesser, state: BodyState, cloud: Cloud) -> float:
     """The share of a scan that lies together off the model and a quick offset."""
     fitter = guesser.fitter
     (surface,) = fitter.fit_with_offsets(state, [cloud], fitter.settings.limbs.quick).surfaces
-    distances = scan_distances(fitter.topology, surface, cloud)
+    distances = fitter.distances(surface, cloud)
     return lost_share(cloud.points, distances, fitter.settings.limbs)

@@ -46,6 +46,7 @@ from habitus.fit.offsets import (
     motion_along,
     offset_spread,
 )
+from habitus.fit.points.clothes import Clothes
 from habitus.fit.points.correspondences import (
     Correspondences,
     Topology,
@@ -76,8 +77,8 @@ class PreviousFrame:
 
 @dataclass(frozen=True, eq=False)
 class OffsetFit:
-    """A state, the surfaces (m) with skin offsets, and how the solve ended: `status` of
-    `habitus.minimize`, the cost of each term after the last step.
+    """A state, the surfaces (m) with skin offsets and tight clothes, and how the solve ended:
+    `status` of `habitus.minimize`, the cost of each term after the last step.
     """
 
     state: BodyState
@@ -101,6 +102,11 @@ class ScanFitter:
         """Of the pose prior, without the root."""
         return self.prior.precision
 
+    @cached_property
+    def clothes(self) -> Clothes:
+        """What the person wears."""
+        return Clothes.of(self.body, self.settings.clothes)
+
     @property
     def body(self) -> BodyModel:
         """The body."""
@@ -115,6 +121,12 @@ class ScanFitter:
         return find_correspondences(
             self.topology, self.vertices(state, k), cloud.points, cloud.normals
         )
+
+    def distances(self, surface: Float[np.ndarray, "V 3"], cloud: Cloud) -> Float[np.ndarray, " N"]:
+        """Distances (m) of a scan's points from a surface; 0 for cloth that hangs off it."""
+        found = find_correspondences(self.topology, surface, cloud.points, cloud.normals)
+        hanging = self.clothes.hanging(found, self.topology.faces[found.face], cloud.points)
+        return np.where(hanging, 0.0, found.distances(cloud.points))
 
     def oriented(self, state: BodyState, cloud: Cloud) -> Cloud:
         """The cloud with normals on the model's side where it is near."""
@@ -154,26 +166,36 @@ class ScanFitter:
         colours: of each scan, places along the skin, where offsets have no part.
         """
         spread = offset_spread(self.body, self.settings.offsets)
-        mean = np.zeros(self.body.num_vertices)
+        worn = mean = self.clothes.thickness
         if self.previous is not None:
-            mean = self.previous.offset
+            mean = worn + self.previous.offset
             spread = self.settings.offset_change * spread
         models = [self.vertices(state, k) for k in range(len(clouds))]
+        alone = len(clouds) == 1 or self.previous is not None
+        own = [1.0 if alone else stage.own_offsets for stage in schedule]
         precisions = {
-            smoothness: [self._field(model, spread, smoothness) for model in models]
-            for smoothness in {stage.smoothness for stage in schedule}
+            (share, smoothness): [
+                self._field(model, share * spread, smoothness) for model in models
+            ]
+            for share, smoothness in {
+                (share, stage.smoothness) for share, stage in zip(own, schedule, strict=True)
+            }
         }
         scans: list[OffsetEquations] = []  # those of the last step, from which offsets carry over
 
         def terms_at(values: dict[str, Any], stage: ScanStage, step: int) -> dict[str, Term]:
-            nonlocal scans
+            nonlocal scans, mean
             now = BodyState(**values)
+            share = 1.0 if alone else stage.own_offsets
+            if scans and not alone:
+                offsets = [scan.offset_at(self.vertices(now, k)) for k, scan in enumerate(scans)]
+                mean = worn + shared_offset(np.array(offsets) - worn, share)
             scans = [
                 OffsetEquations.of(
                     self,
                     now[k : k + 1],
                     cloud,
-                    precisions[stage.smoothness][k],
+                    precisions[share, stage.smoothness][k],
                     mean,
                     stage,
                     scans[k] if scans else None,
@@ -237,7 +259,9 @@ class ScanFitter:
         cloud = cloud.first(stage.points)
         correspondences = self.matched(state, k, cloud)
         weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
-        weight *= min(1.0, self.settings.effective_points / len(weight)) / stage.noise**2
+        corners = self.topology.faces[correspondences.face]
+        variance = stage.noise**2 / min(1.0, self.settings.effective_points / len(weight))
+        weight *= self.clothes.factor(correspondences, corners, cloud.points, variance) / variance
         return PointObservations.to_planes(
             correspondences.face,
             correspondences.barycentric,
@@ -246,6 +270,14 @@ class ScanFitter:
             weight,
             stage.slide,
         )
+
+
+def shared_offset(offsets: Float[np.ndarray, "K V"], own: float) -> Float[np.ndarray, " V"]:
+    """The most probable offset that the scans of a person share, given the offset of each, with
+    their median in place of their mean: one scan in a wrong pose does not count.
+    """
+    count = len(offsets)
+    return np.median(offsets, 0) * count * (1.0 - own**2) / (count * (1.0 - own**2) + own**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,8 +326,10 @@ class OffsetEquations:
         weight = correspondences.weights(
             cloud.points, stage.scale, fitter.settings.offset_min_cosine
         )
-        weight /= stage.noise_of(len(weight)) ** 2
+        variance = stage.noise_of(len(weight)) ** 2
         corners = faces[correspondences.face]
+        weight *= fitter.clothes.factor(correspondences, corners, cloud.points, variance)
+        weight /= variance
         row = np.repeat(np.arange(len(corners)), 3)
         share = coo_array(
             (correspondences.barycentric.ravel(), (row, corners.ravel())),

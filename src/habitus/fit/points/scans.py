@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from typing import TypedDict
 
 import numpy as np
 from jaxtyping import Float
@@ -29,29 +28,28 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
-from habitus.fit.offsets import field_precision, offset_spread
+from habitus.fit.offsets import along_normals
 from habitus.fit.points.correspondences import (
     Topology,
-    find_correspondences,
     hidden_vertices,
     vertex_weights,
 )
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
 from habitus.fit.points.limbs import (
+    extremities,
     limbs_searched_again,
-    scan_distances,
     with_extremities,
     with_hands,
+    with_usual_joints,
 )
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
-from habitus.fit.points.scan_fitting import OffsetFit, PreviousFrame, ScanFitter
+from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_around
+from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
 from habitus.fit.points.scan_result import (
     LIMITS,
     ScanFit,
     at_rest,
     limbs_compared,
-    lost_piece,
-    part_around,
 )
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import carried, joined, with_joints_of
@@ -230,7 +228,8 @@ class Registrar:
         cloud = turned(scan, best.turn)[1]
         state = with_extremities(self.fitter, best.state, self.fitter.oriented(best.state, cloud))
         cloud = self.fitter.oriented(state, cloud)
-        best = replace(best, state=self.fitter.fit(state, [cloud], settings.stages[1:]))
+        state = self.fitter.fit(state, [cloud], settings.stages[1:])
+        best = replace(best, state=with_usual_joints(self.guesser, state, cloud))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         others = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
         return Start(best, axis, min(others, default=None))
@@ -321,10 +320,16 @@ class Registrar:
         settings = self.settings.surface
         few = cloud.first(settings.points)
         surface = free_surface(topology, model, few, settings, start=start)
+        surface = self._under_cloth(surface, start)
         surface = uncut(topology, model, surface, settings)
-        if np.percentile(scan_distances(topology, surface, cloud), 95) > settings.stretched:
-            return stretched_surface(topology, surface, few, settings)
-        return surface
+        if np.percentile(self.fitter.distances(surface, cloud), 95) > settings.stretched:
+            surface = stretched_surface(topology, surface, few, settings)
+        return self._under_cloth(surface, start)
+
+    def _under_cloth(self, surface: np.ndarray, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
+        """The surface, as it was before it followed the scan where cloth may hang off it."""
+        covered = self.fitter.clothes.covered[:, None]
+        return covered * start + (1.0 - covered) * surface
 
     def _limbs_searched(self, scans: list[Registered]) -> list[Registered]:
         """Where a piece of a scan lies off its surface, limbs are searched again from there; what
@@ -357,15 +362,23 @@ class Registrar:
         which no search of limbs would place.
         """
         settings = self.fitter.settings.limbs
-        distances = scan_distances(self.fitter.topology, scan.surface, scan.cloud)
+        distances = self.fitter.distances(scan.surface, scan.cloud)
         share, place = lost_piece(scan.cloud.points, distances, settings)
         at_hands = part_around(self.body, scan.surface, place) == HANDS
         fingers = has_hands(self.body) and at_hands and share < settings.lost_fingers
         return 0.0 if fingers else share
 
     def _result(self, scan: Registered) -> ScanFit:
-        state = scan.state
+        state, topology, clothes = scan.state, self.fitter.topology, self.fitter.clothes
         model = self.fitter.vertices(state)
+        names = self.body.joint_names
+        bent = np.where(
+            extremities(self.body),
+            0.0,
+            np.append(0.0, self.fitter.prior.joint_deviations(state.pose[0])),
+        )
+        rarest = int(bent.argmax())
+        skin = along_normals(scan.surface, -clothes.thickness, self.body)
         deviation = self.fitter.prior.whitening @ (
             state.pose[0, 1:].ravel() - self.fitter.prior.mean
         )
@@ -376,21 +389,23 @@ class Registrar:
             betas=state.betas,
             pose=state.pose[0],
             trans=state.trans[0],
-            vertices=scan.surface,
+            vertices=skin,
             model_vertices=model,
-            rest_vertices=at_rest(self.body, state, scan.surface - model),
-            weights=vertex_weights(
-                self.fitter.topology, scan.surface, scan.cloud, self.fitter.settings.surface
-            ),
+            rest_vertices=at_rest(self.body, state, skin - model),
+            weights=(1.0 - clothes.covered)
+            * vertex_weights(topology, scan.surface, scan.cloud, self.settings.surface),
+            covered=clothes.covered,
             cloud=scan.cloud,
             **compared(self.fitter, scan.cloud, scan.surface, model),
             rival=scan.start.rival,
             pose_distance=float(np.sqrt(np.mean(deviation**2))),
+            rarest_joint=names[rarest],
+            joint_deviation=float(bent[rarest]),
             to_body=scan.scan.to_body,
             up_axis=scan.start.up,
             person=scan.person,
             islands=scan.islands,
-            cuts=new_cuts(self.fitter.topology, model, scan.surface, vertex_parts(self.body)),
+            cuts=new_cuts(topology, model, scan.surface, vertex_parts(self.body)),
             status=scan.status,
             costs=scan.costs,
             settings=asdict(self.settings),
@@ -409,67 +424,6 @@ class Clock:
         began = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - began
-
-
-class ScanDistances(TypedDict):
-    """The fields of `ScanFit` that `compared` gives."""
-
-    to_surface: Float[np.ndarray, " M"]
-    to_model: Float[np.ndarray, " M"]
-    far_from_surface: Float[np.ndarray, " N"]
-    matched: float
-    lost: float
-    lost_part: str
-
-
-def compared(
-    fitter: ScanFitter,
-    cloud: Cloud,
-    surface: Float[np.ndarray, "V 3"],
-    model: Float[np.ndarray, "V 3"],
-) -> ScanDistances:
-    """Distances of a scan from surface and model, and the shares that are matched and lost."""
-    settings = fitter.settings
-    there, near = (
-        find_correspondences(fitter.topology, each, cloud.points, cloud.normals)
-        for each in (surface, model)
-    )
-    to_surface, to_model = (each.distances(cloud.points) for each in (there, near))
-    matched = (to_model < settings.matched_distance) & (near.cosine > settings.matched_cosine)
-    counted = np.ones(len(matched), bool)
-    if matched.any():
-        counted = to_surface < settings.matched_distance
-        counted &= np.abs(there.cosine) > settings.matched_cosine
-    lost, place = lost_piece(cloud.points, to_surface, settings.limbs)
-    return {
-        "to_surface": to_surface[counted],
-        "to_model": to_model[counted],
-        "far_from_surface": to_surface,
-        "matched": float(matched.mean()),
-        "lost": lost,
-        "lost_part": part_around(fitter.body, surface, place),
-    }
-
-
-def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float:
-    """E of all scans at surfaces that lie off the model along its normals."""
-    state = fit.state
-    settings = fitter.settings
-    last = settings.offset_stages[-1]
-    spread = offset_spread(fitter.body, settings.offsets)
-    total = 0.5 * float(state.betas @ state.betas)
-    for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
-        model = fitter.vertices(state, k)
-        offset = ((surface - model) * vertex_normals(model, fitter.topology.faces)).sum(1)
-        precision = field_precision(fitter.topology.faces, model, spread, settings.offsets.range)
-        deviation = state.pose[k, 1:].ravel() - fitter.prior.mean
-        total += 0.5 * float(offset @ (precision @ offset))
-        total += 0.5 * float(deviation @ fitter.precision @ deviation)
-        distances = scan_distances(fitter.topology, surface, cloud.first(last.points))
-        square = distances**2
-        loss = square * last.scale**2 / (square + last.scale**2)
-        total += 0.5 / last.noise**2 * float(loss.sum())
-    return total
 
 
 def _last(k: int, previous: BodyState) -> slice:

@@ -4,7 +4,9 @@ The terms that the weights belong to, and full citations, are in `habitus.fit.po
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from habitus.fit.offsets import OFFSETS, OffsetSettings
 from habitus.solve.least_squares import Tolerances
@@ -39,6 +41,9 @@ class ScanStage(Stage):
     """Metres, down to which the noise falls with the square root of the share of ``points`` that a
     scan has: neighbouring points have finer forms of the skin in common, so that each of few
     determines more. Infinite: it does not fall."""
+    own_offsets: float = 1.0
+    """Sd of the skin offsets that each scan of a person has by itself, in that of all; what remains
+    is one field that all scans of the person share. 1: they share none."""
     smoothness: int = 1
     """Of the random field of skin offsets. With 2 pose and shape of the right body are closer to
     the truth, but the wrong body explains a scan more often."""
@@ -186,6 +191,10 @@ class LimbSettings:
     """Searches for lost limbs."""
     whole_limbs: int = 5
     """Arms, legs and head: the first of the guesser's limbs."""
+    unusual: float = 5.0
+    """Standard deviations of a joint by itself beyond which its limb is placed anew: no joint of
+    643 frames of ten captures is beyond 4.5; collars of arms turned about themselves are at 6 to
+    14."""
     margin: float = 0.1
     """A limb so much further from the lost piece than the closest one is tried, too."""
     quick: tuple[ScanStage, ...] = (ScanStage(2, points=6000, scale=0.03, noise=0.004),)
@@ -328,6 +337,41 @@ class ScanColourSettings:
 
 
 @dataclass(frozen=True)
+class ClothesSettings:
+    """What a scanned person wears (`habitus.fit.points.clothes`); metres. Chosen by hand, tried on
+    benchmarks/clothed_people.py.
+    """
+
+    thickness: float = 0.0
+    """Of tight clothes on trunk and thighs."""
+    hair: float = 0.0
+    """Thickness of flat hair."""
+    ease: float = 0.0
+    """Mean distance by which cloth hangs off the skin: everywhere but on head, hands and feet."""
+    hair_ease: float = 0.0
+    """The same of hair."""
+    points: int = 1500
+    """All points of hanging cloth count as so many at most: neighbours hang alike."""
+    touching: float = 0.003
+    """Distance from the surface up to which a point is no hanging cloth."""
+    aside: float = 0.5
+    """Cosine between normals of scan and surface below which a point is."""
+    furthest: float = 0.12
+    """Distance beyond which it is neither."""
+
+
+CLOTHES: Mapping[str, ClothesSettings] = MappingProxyType(
+    {
+        "none": ClothesSettings(),
+        "auto": ClothesSettings(),
+        "tight": ClothesSettings(thickness=0.001, hair=0.003),
+        "loose": ClothesSettings(thickness=0.001, hair=0.003, ease=0.025, hair_ease=0.01),
+    }
+)
+"""By the name of `habitus register --clothes`."""
+
+
+@dataclass(frozen=True)
 class ScanSettings:
     """All constants of `habitus.register_scans`; lengths in metres, angles in rad."""
 
@@ -346,6 +390,7 @@ class ScanSettings:
             noise=0.0025,
             least_noise=0.0012,
             smoothness=2,
+            own_offsets=0.5,
             until=Tolerances(cost=1e-4),
         ),
     )
@@ -381,6 +426,7 @@ class ScanSettings:
     search: SearchSettings = SearchSettings()
     limbs: LimbSettings = LimbSettings()
     surface: SurfaceSettings = SurfaceSettings()
+    clothes: ClothesSettings = CLOTHES["none"]
     colours: ScanColourSettings = ScanColourSettings()
 
 

@@ -78,27 +78,35 @@ class SkinField:
 
 def clothing(body: BodyModel, settings: RgbdSettings) -> Float[np.ndarray, " V"]:
     """Metres of tight clothes on trunk and thighs, and of hair above the brow and behind."""
+    worn = worn_on(body, settings.clothed)
+    return settings.clothes * worn + settings.hair * scalp(body, settings.hairline)
+
+
+def worn_on(body: BodyModel, joints: Sequence[str]) -> Float[np.ndarray, " V"]:
+    """How much of each vertex rides on joints, named without a side, that clothes cover; 0 of a
+    body without a head.
+    """
+    names = body.joint_names
+    if "head" not in names:
+        return np.zeros(body.num_vertices)
+    plain = [name.removeprefix("left_").removeprefix("right_") for name in names]
+    covered = [k for k, name in enumerate(plain) if name in joints]
+    return np.asarray(body.skinning_weights[:, covered].sum(1))
+
+
+def scalp(body: BodyModel, hairline: float) -> Float[np.ndarray, " V"]:
+    """1 on the head above the brow and behind, where hair grows, 0 elsewhere."""
     names = body.joint_names
     points = body.rest_vertices(np.zeros(body.num_betas))
     if "head" not in names:
         return np.zeros(len(points))
-    weights = body.skinning_weights
-    covered = weights[
-        :,
-        [
-            k
-            for k, name in enumerate(names)
-            if name.removeprefix("left_").removeprefix("right_") in settings.clothed
-        ],
-    ]
-    head = weights[:, names.index("head")]
+    head = body.skinning_weights[:, names.index("head")]
     joint = body.rest_joints(np.zeros(body.num_betas))[names.index("head")]
     top = points[head > 0.5, 1].max()
     share = (points[:, 1] - joint[1]) / (top - joint[1]) + np.maximum(
         joint[2] - points[:, 2], 0.0
     ) / 0.1
-    grown = np.clip((share - settings.hairline) / 0.2, 0.0, 1.0)
-    return settings.clothes * covered.sum(1) + settings.hair * head * grown
+    return head * np.clip((share - hairline) / 0.2, 0.0, 1.0)
 
 
 def moved_back(

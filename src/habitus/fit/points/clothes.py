@@ -1,0 +1,92 @@
+"""What a scanned person wears: how far scan and skin lie apart.
+
+    w_p -> w_p min(1, c noise^2 / (e |d_p|))    where the scan lies outside the surface by d_p
+
+Tight clothes and hair lie on the skin at a known thickness. Loose clothes hang off it by unknown
+distances, exponentially distributed with mean e, and touch it in places, so that the skin is where
+little of the scan is inside of it: points outside pull by a slope 1 / e, not by a square (both by
+one weight, as in iteratively reweighted least squares). Where cloth hangs the surface is the model
+with its offsets, and its vertices have no weight.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from habitus.body.model import BodyModel
+from habitus.fit.points.correspondences import Correspondences
+from habitus.fit.points.depth_settings import STANDARD
+from habitus.fit.points.settings import ClothesSettings
+from habitus.fit.points.skin_offsets import scalp, worn_on
+from habitus.fit.verdict import BODY, part_of_joint
+
+REGIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "trunk": ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),
+        "upper arms": ("left_shoulder", "right_shoulder"),
+        "forearms": ("left_elbow", "right_elbow"),
+        "thighs": ("left_hip", "right_hip"),
+        "lower legs": ("left_knee", "right_knee"),
+        "head": ("head",),
+    }
+)
+"""Parts of the body, by the joints that carry them, for each of which cloth is told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clothes:
+    """Of each vertex of a body: the thickness (V,; m) of what lies on the skin, the mean distance
+    (V,; m) of what hangs off it, 0 where nothing does, and whether (V,; 0 to 1) that may be.
+    """
+
+    thickness: Float[np.ndarray, " V"]
+    ease: Float[np.ndarray, " V"]
+    covered: Float[np.ndarray, " V"]
+    settings: ClothesSettings
+
+    @staticmethod
+    def of(body: BodyModel, settings: ClothesSettings) -> "Clothes":
+        """Laid out once for a body."""
+        hair = scalp(body, STANDARD.hairline)
+        thickness = settings.thickness * worn_on(body, STANDARD.clothed) + settings.hair * hair
+        parts = part_of_joint(body.joint_names, body.parents)
+        loose = body.skinning_weights[:, [part == BODY for part in parts]].sum(1)
+        ease = settings.ease * loose + settings.hair_ease * hair
+        covered = (settings.ease > 0.0) * loose + (settings.hair_ease > 0.0) * hair
+        return Clothes(thickness, ease, np.minimum(covered, 1.0), settings)
+
+    @property
+    def loose(self) -> bool:
+        """Whether anything hangs off the skin."""
+        return bool(self.ease.any())
+
+    def factor(
+        self,
+        correspondences: Correspondences,
+        corners: Int[np.ndarray, "N 3"],
+        points: Float[np.ndarray, "N 3"],
+        variance: float,
+    ) -> Float[np.ndarray, " N"]:
+        """The factor of each point's weight, which is 1 / ``variance`` (m^2) without clothes.
+        corners: the vertices of its face.
+        """
+        pull = (self.ease[corners] * correspondences.barycentric).sum(1)
+        pull *= np.maximum(correspondences.outside(points), 0.0)
+        share = min(1.0, self.settings.points / len(points))
+        return np.minimum(1.0, share * variance / np.maximum(pull, 1e-12))
+
+    def hanging(
+        self,
+        correspondences: Correspondences,
+        corners: Int[np.ndarray, "N 3"],
+        points: Float[np.ndarray, "N 3"],
+    ) -> Bool[np.ndarray, " N"]:
+        """Which points are cloth (or hair) off the skin."""
+        ease = (self.ease[corners] * correspondences.barycentric).sum(1)
+        outside = correspondences.outside(points)
+        off = (outside > self.settings.touching) | (correspondences.cosine < self.settings.aside)
+        near = correspondences.distances(points) < self.settings.furthest
+        return (ease > 0.0) & off & near
