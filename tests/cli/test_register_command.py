@@ -22,6 +22,9 @@ SCAN = Path(__file__).resolve().parents[3] / "shared" / "scans" / "demo_scan.ply
         (["a.xyz", "--texture"], "expected two"),
         (["a.xyz", "b.xyz", "--texture"], "no colours"),
         (["a.xyz", "b.xyz", "--texture", "--separate"], "expected one"),
+        (["a.xyz", "b.xyz", "--coregister", "--separate"], "expected one"),
+        (["a.xyz", "a.xyz", "--coregister"], "several people are called a"),
+        (["a.xyz", "--coregister"], "expected two people or more"),
     ],
 )
 def test_bad_input_gives_one_line_and_code_2(tmp_path, capsys, monkeypatch, given, said):

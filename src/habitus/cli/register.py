@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class _Files:
     scans: Annotated[tuple[Path, ...], tyro.conf.Positional, unset("SCAN|FOLDER [SCAN|FOLDER …]")]
-    """PLY, OBJ, STL, glb, OFF or XYZ files of one person, or folders of such."""
+    """PLY, OBJ, STL, glb, OFF or XYZ files of one person, or folders of such; with --coregister a
+    folder for each person.
+    """
     out: Annotated[Path, metavar("FOLDER")]
     """Folder for the results."""
     body: Annotated[str, metavar("NAME|FILE")] = "default"
@@ -46,6 +48,8 @@ class Register(Strict, RegisterOptions, _Files):
     OUT/<name>/ receives body.npz, surface.ply, surface.glb, model.ply, rest.ply (which `habitus
     measure` reads), metrics.json and report.html; OUT/registrations.npz is what `habitus train`
     reads. `docs/registering-scans.md` explains how to scan.
+
+    habitus register anna_in_a_jacket.ply --clothes loose --out results/anna
 
     habitus register her_smplx.npz --topology smplx --out results/her
     """
@@ -93,8 +97,11 @@ def _from_topology(options: Register, console: "Console") -> int:
     if len(options.scans) != 1:
         raise HabitusError(f"{len(options.scans)} files; expected one with --topology")
     unused = (options.age, options.sex, options.separate, options.sequence, options.texture)
-    if any(unused):
-        raise HabitusError("--age, --sex, --separate, --sequence, --texture go without --topology")
+    if any(unused) or options.coregister or options.clothes != "none":
+        raise HabitusError(
+            "--age, --sex, --separate, --sequence, --texture, --coregister, --clothes go without "
+            "--topology"
+        )
     with compilation_notice(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("read", total=1.0)
         made = register_vertices(

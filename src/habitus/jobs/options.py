@@ -362,10 +362,9 @@ class RegisterOptions:
     """Every folder is one person in some poses: a body is trained on the registrations of two
     people or more and registers all of them again (needs PyTorch).
     """
-    clothes: Literal["none", "tight", "loose", "auto"] = "none"
+    clothes: Literal["none", "tight", "loose"] = "none"
     """What the person wears: tight clothes (1 mm on trunk and thighs, 3 mm of hair) are subtracted
-    from the skin; under loose ones it is estimated; "auto" takes loose where a tenth of the scan
-    lies 20 mm outside the model.
+    from the skin; under loose ones the skin is estimated.
     """
     texture: Flag = False
     """Use the colours of two or more scans of the person to refine their correspondences."""

@@ -15,7 +15,7 @@ from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours
-from habitus.fit.points.scan_result import LIMITS, ScanFit
+from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import CLOTHES, SCANS, ScanSettings
 from habitus.io.models.bodies import SHIPPED, save_body
@@ -90,8 +90,6 @@ def register_scans(
             raise HabitusError(
                 f"{one} and {other} were given; expected one of them: {EXCLUSIVE[one, other]}"
             )
-    if options.coregister and options.clothes == "auto":
-        raise HabitusError("clothes is 'auto'; with coregister expected none, tight or loose")
     given = [scans] if isinstance(scans, Scan | str | os.PathLike) else list(scans)
     if not given:
         raise HabitusError("no scans were given; expected files, folders or points")
@@ -113,13 +111,9 @@ def register_scans(
                 fits = [fit for each in done.fits.values() for fit in each]
             else:
                 run = _in_time if options.sequence else _together
-                fits = []
-                for each in people.values():
-                    found = run(registrar, each, asked, progress)
-                    if options.clothes == "auto" and loosely_clothed(found):
-                        loose = replace(settings, clothes=CLOTHES["loose"])
-                        found = run(made_ready(body, options.age, loose), each, asked, progress)
-                    fits += found
+                fits = [
+                    fit for each in people.values() for fit in run(registrar, each, asked, progress)
+                ]
             if options.texture:
                 progress("colours", 0.9)
                 fits = with_colours(
@@ -156,12 +150,6 @@ def _people(given: Sequence[Scan | PathLike], options: RegisterOptions) -> dict[
         return {name: _read(each) for name, each in zip(names, given, strict=True)}
     scans = [one for each in given for one in _read(each)]
     return {str(k): [scan] for k, scan in enumerate(scans)} if options.separate else {"": scans}
-
-
-def loosely_clothed(fits: Sequence[ScanFit]) -> bool:
-    """Whether most scans of a person lie so far outside their models as loose clothes do."""
-    outside = [fit.outside for fit in fits if fit.person]
-    return bool(outside) and float(np.median(outside)) > LIMITS.outside.doubtful
 
 
 def made_ready(

@@ -8,10 +8,9 @@ import pytest
 from habitus.body.state import BodyState
 from habitus.fit.points.clothes import REGIONS, Clothes
 from habitus.fit.points.correspondences import Correspondences, hidden_vertices
-from habitus.fit.points.scan_result import LIMITS
 from habitus.fit.points.settings import CLOTHES, SCANS
 from habitus.io.models.bodies import load_body
-from habitus.jobs.register import loosely_clothed, made_ready
+from habitus.jobs.register import made_ready
 from habitus.mesh.normals import vertex_normals
 from habitus_lab.population.clothed import OUTFITS, clothed
 from habitus_lab.population.scans import Scanner, scanned, stance
@@ -89,8 +88,6 @@ def test_the_skin_under_loose_clothes_is_estimated_and_doubtful():
         off = ((fit.vertices - true) * vertex_normals(true, fit.body.faces)).sum(1)
         outside.append(float(off[worn].mean()))
     assert outside[0] > 0.010 and abs(outside[1]) < 0.5 * outside[0]
-    assert bare.outside > LIMITS.outside.doubtful and loosely_clothed([bare])
-    assert "--clothes loose" in " ".join(bare.verdict.reasons)
     assert dressed.verdict.level == "doubtful" and "clothed" in dressed.verdict.keys
     assert set(dressed.cloth) == set(REGIONS) and dressed.cloth["trunk"] > 0.003
     assert not bare.cloth and bare.weights.mean() > 2.0 * dressed.weights.mean()

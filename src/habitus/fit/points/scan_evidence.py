@@ -16,11 +16,8 @@ from habitus.fit.points.correspondences import find_correspondences
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import OffsetFit, ScanFitter
 from habitus.fit.points.settings import SCANS, LimbSettings
-from habitus.fit.verdict import BODY, PARTS, vertex_parts
+from habitus.fit.verdict import PARTS, vertex_parts
 from habitus.mesh.normals import vertex_normals
-
-OUTERMOST = 0.9
-"""Of a scan's points on trunk, arms and legs: the quantile of their distance outside the model."""
 
 
 class ScanDistances(TypedDict):
@@ -32,7 +29,6 @@ class ScanDistances(TypedDict):
     matched: float
     lost: float
     lost_part: str
-    outside: float
     cloth: dict[str, float]
 
 
@@ -61,8 +57,6 @@ def compared(
     lost, place = lost_piece(cloud.points, np.where(skin, to_surface, 0.0), settings.limbs)
     hung = np.where(skin, 0.0, there.outside(cloud.points))
     joint = np.array(fitter.body.joint_names)[fitter.body.strongest_joint[corners[:, 0]]]
-    of_body = vertex_parts(fitter.body)[fitter.topology.faces[near.face][:, 0]] == PARTS.index(BODY)
-    off_model = near.outside(cloud.points)[matched & of_body]
     return {
         "to_surface": to_surface[counted & skin],
         "to_model": to_model[counted & skin],
@@ -70,7 +64,6 @@ def compared(
         "matched": float(matched[skin].mean()) if skin.any() else 0.0,
         "lost": lost,
         "lost_part": part_around(fitter.body, surface, place),
-        "outside": float(np.quantile(off_model, OUTERMOST)) if len(off_model) else 0.0,
         "cloth": {
             region: float(np.median(hung[np.isin(joint, joints)]))
             for region, joints in REGIONS.items()

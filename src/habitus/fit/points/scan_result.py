@@ -111,11 +111,6 @@ class ScanLimits:
     cuts_head: Bound = Bound(40, np.inf)
     """The same of the head: ears and hair cut themselves in surfaces that are right within 1 mm. By
     hand; 0 to 55 at right heads."""
-    outside: Bound = Bound(0.020, np.inf)
-    """Metres by which a tenth of the scan of trunk and limbs lies outside the model: loose clothes,
-    or a shape that the model does not have. 17 to 37 mm of six people in clothes, five of them 23
-    and more (benchmarks/clothed_people.py --seed 7), 3 to 10 mm of seven unlike the body's own
-    (benchmarks/wide_people.py --seed 7), 17 mm of SMPL's mean man."""
     clothed: Bound = Bound(0.1, np.inf)
     """Share of the body under loose clothes or hair: there the skin is 8 mm off on average
     (benchmarks/clothed_people.py)."""
@@ -164,8 +159,6 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "person or a part of this one.",
         "points": "The scan has {points:,.0f} points on all of the body; with fewer than 8,000 the "
         "skin may be a centimetre off along the surface.",
-        "outside": "A tenth of the scan lies {mm:.0f} mm or more outside the model: under loose "
-        "clothes, --clothes loose estimates the skin.",
         "clothed": "Loose clothes may hang off {percent:.0f} % of the body; the skin under them "
         "is estimated.",
         "rival": "Another pose fits nearly as well.",
@@ -189,9 +182,7 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     rare = worst([above(betas, limits.betas), above(largest, limits.largest_beta)])
     median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
     model = float(np.median(fit.to_model))
-    outside = fit.outside if fit.clothed == 0.0 else 0.0
     levels = [
-        Reason(above(outside, limits.outside), "outside", {"mm": 1e3 * outside}),
         Reason(above(fit.clothed, limits.clothed), "clothed", {"percent": 100.0 * fit.clothed}),
         Reason(above(model, limits.model), "model", {"mm": 1e3 * model}),
         Reason(below(fit.matched, limits.matched), "matched", {"percent": 100.0 * fit.matched}),
@@ -313,8 +304,7 @@ class ScanFit:
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
     ``costs``: its cost by term. ``rarest_joint``: the one of trunk,
     limbs and head that is furthest from the prior's mean by itself, and ``joint_deviation`` how
-    far, in its standard deviations. ``outside``: how far (m) the outermost
-    tenth of the scan's points on trunk and limbs lies outside the model. ``covered`` (V,): 1 where
+    far, in its standard deviations. ``covered`` (V,): 1 where
     loose clothes or hair may hang off the skin, which is estimated there (None: nowhere);
     ``cloth``: by region, how far (m, median) the scan is off it.
     """
@@ -351,7 +341,6 @@ class ScanFit:
     costs: Mapping[str, float] = field(default_factory=dict)
     joint_deviation: float = 0.0
     rarest_joint: str = ""
-    outside: float = 0.0
     covered: Float[np.ndarray, " V"] | None = None
     cloth: Mapping[str, float] = field(default_factory=dict)
     limbs: Mapping[str, LimbAgreement] = field(default_factory=dict)

@@ -363,7 +363,6 @@ class ClothesSettings:
 CLOTHES: Mapping[str, ClothesSettings] = MappingProxyType(
     {
         "none": ClothesSettings(),
-        "auto": ClothesSettings(),
         "tight": ClothesSettings(thickness=0.001, hair=0.003),
         "loose": ClothesSettings(thickness=0.001, hair=0.003, ease=0.025, hair_ease=0.01),
     }
