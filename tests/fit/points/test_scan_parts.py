@@ -189,6 +189,7 @@ def test_the_verdict_follows_the_numbers():
         "head_seen": 0.9,
         "points": 40_000,
         "joint_deviation": 3.0,
+        "unlike": 0.0,
         "rarest_joint": "left_hip",
         "clothed": 0.0,
         "measurements": {"height_m": 1.75},
@@ -200,7 +201,7 @@ def test_the_verdict_follows_the_numbers():
         ({"matched": 0.5}, "failed"), ({"cuts": {"body": 150}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
         ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"),
         ({"head_seen": 0.1}, "doubtful"), ({"points": 5000.0}, "doubtful"),
-        ({"joint_deviation": 7.0}, "doubtful"),
+        ({"joint_deviation": 7.0}, "doubtful"), ({"unlike": 0.03}, "doubtful"),
         ({"clothed": 0.5}, "doubtful"),
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
@@ -215,7 +216,7 @@ def scan_evidence(**changes):
     good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
-    good |= {"joint_deviation": 3.0, "rarest_joint": "neck"}
+    good |= {"joint_deviation": 3.0, "unlike": 0.0, "rarest_joint": "neck"}
     good |= {"points": 40_000, "clothed": 0.0}
     good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "measurements": {}}
     good |= {"body": SimpleNamespace(age=None, v_template=np.zeros((2, 3)))}

@@ -162,6 +162,8 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "clothed": "Loose clothes may hang off {percent:.0f} % of the body; the skin under them "
         "is estimated.",
         "rival": "Another pose fits nearly as well.",
+        "unlike": "The shape is {mm:.0f} mm (RMS) from that of the person's other scans: another "
+        "person, or a wrong pose; the scan was registered by itself.",
         "limbs": "The surface of the {limbs} is unlike that in the person's other scans; it may be "
         "turned about its own axis.",
     }
@@ -204,13 +206,15 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     ]
     if fit.rival is not None:
         levels.append(Reason(below(fit.rival, limits.rival), "rival"))
-    unlike = [
+    if fit.unlike:
+        levels.append(Reason(DOUBTFUL, "unlike", {"mm": 1e3 * fit.unlike}))
+    turned = [
         LIMBS[joint]
         for joint, limb in fit.limbs.items()
         if limb.correlation < limits.limb_agreement and limb.deviation > limits.limb_deviation
     ]
-    if unlike:
-        levels.append(Reason(DOUBTFUL, "limbs", {"limbs": enumerated(unlike)}))
+    if turned:
+        levels.append(Reason(DOUBTFUL, "limbs", {"limbs": enumerated(turned)}))
     yield from (reason for reason in levels if reason.level != GOOD)
     if fit.measurements:
         stature = float(np.ptp(fit.body.v_template[:, 1]))
@@ -302,7 +306,9 @@ class ScanFit:
     share of the scan that was left out as separate components. ``up_axis``
     is the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
-    ``costs``: its cost by term. ``rarest_joint``: the one of trunk,
+    ``costs``: its cost by term. ``unlike``: how far (m, RMS) its
+    shape by itself is from those of the person's other scans, where that is too far and it was
+    registered alone. ``rarest_joint``: the one of trunk,
     limbs and head that is furthest from the prior's mean by itself, and ``joint_deviation`` how
     far, in its standard deviations. ``covered`` (V,): 1 where
     loose clothes or hair may hang off the skin, which is estimated there (None: nowhere);
@@ -339,6 +345,7 @@ class ScanFit:
     lost_part: str = BODY
     status: str = "no person"
     costs: Mapping[str, float] = field(default_factory=dict)
+    unlike: float = 0.0
     joint_deviation: float = 0.0
     rarest_joint: str = ""
     covered: Float[np.ndarray, " V"] | None = None

@@ -164,27 +164,40 @@ class Registrar:
                 last = None if previous is None else previous[_last(k, previous)]
                 started.append(self._started(scan, up, last))
         people = [k for k, scan in enumerate(started) if scan.person]
-        best = self
-        fitted: list[Registered] = []
-        if people:
+        unlike = self._unlike([started[k].state.betas for k in people])
+        alone = [[k] for k, off in zip(people, unlike, strict=True) if off]
+        alike = [k for k in people if [k] not in alone]
+        fits: dict[int, ScanFit] = {}
+        for group in filter(None, [alike, *alone]):
             progress("model", 0.5)
             with clock("model"):
-                best, fitted = self._fitted_best([started[k] for k in people])
+                best, fitted = self._fitted_best([started[k] for k in group])
             progress("limbs", 0.8)
             with clock("limbs"):
                 fitted = best._limbs_searched(fitted)
-        done = dict(zip(people, fitted, strict=True))
+            found = limbs_compared([best._result(scan) for scan in fitted])
+            for k, fit in zip(group, found, strict=True):
+                notes = _notes(started[k], True, self, best)
+                fits[k] = replace(fit, notes=notes, unlike=unlike[people.index(k)])
         seconds = {name: each / len(scans) for name, each in clock.seconds.items()}
-        return limbs_compared(
-            [
-                replace(
-                    (best if k in done else self)._result(done.get(k, scan)),
-                    stage_seconds=seconds,
-                    notes=(*scan.scan.notes, *_notes(scan, k in done, self, best)),
-                )
-                for k, scan in enumerate(started)
-            ]
-        )
+        for k, scan in enumerate(started):
+            if k not in fits:
+                fits[k] = replace(self._result(scan), notes=_notes(scan, False, self, self))
+        return [
+            replace(fits[k], stage_seconds=seconds, notes=(*scan.scan.notes, *fits[k].notes))
+            for k, scan in enumerate(started)
+        ]
+
+    def _unlike(self, betas: Sequence[Float[np.ndarray, " B"]]) -> list[float]:
+        """How far (m, RMS) the shape of each scan by itself is from the median of all, where it is
+        too far for one person; 0 for the others, and for all of fewer than three.
+        """
+        if len(betas) < 3:
+            return [0.0] * len(betas)
+        middle = self.body.rest_vertices(np.median(betas, 0))
+        off = [self.body.rest_vertices(each) - middle for each in betas]
+        distances = [float(np.sqrt(np.square(each).sum(1).mean())) for each in off]
+        return [each if each > self.settings.one_person else 0.0 for each in distances]
 
     def _started(self, scan: Cleaned, up: str, previous: BodyState | None) -> Registered:
         """A scan upright, at its start."""

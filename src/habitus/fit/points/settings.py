@@ -418,6 +418,10 @@ class ScanSettings:
     """Metres from the surface within which a point counts as the body's."""
     matched_cosine: float = 0.3
     """Between normals, from which on a point counts as the body's."""
+    one_person: float = 0.02
+    """Metres (RMS) by which the shape of a scan by itself may be off the median of a person's
+    scans: beyond it the scan is registered by itself. Six right scans of two people in extreme
+    poses are off by 2 to 9 mm, two with a wrong arm by 32 and 74."""
     similar_bodies: float = 0.005
     """Sd (m) within which another body's vertices are put on the first one's."""
     offsets: OffsetSettings = OFFSETS
