@@ -14,7 +14,7 @@ from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_su
 from habitus.fit.points.scan import Cloud, Scan, agreed, cleaned, outward, plane_normals, turned
 from habitus.fit.points.scan_evidence import lost_share
 from habitus.fit.points.scan_result import at_rest, judge_scan
-from habitus.fit.points.settings import SurfaceStage
+from habitus.fit.points.settings import SCANS, SurfaceStage
 from habitus.fit.verdict import PARTS
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import closest_points
@@ -209,6 +209,25 @@ def test_the_verdict_follows_the_numbers():
     ):  # fmt: skip
         verdict = judge_scan(SimpleNamespace(**(good | change)))
         assert verdict.level == level and len(verdict.reasons) >= 1
+
+
+def test_a_mesh_is_sampled_on_its_faces_however_coarse_it_is():
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.9)
+    keep = ball.triangles_center[:, 1] > 0.3  # dense above, coarse below
+    dense = ball.submesh([np.flatnonzero(keep)], append=True)
+    coarse = trimesh.creation.icosphere(subdivisions=4, radius=0.9)
+    coarse = coarse.submesh([np.flatnonzero(coarse.triangles_center[:, 1] <= 0.3)], append=True)
+    mesh = trimesh.util.concatenate([dense, coarse])
+    stray = np.zeros((50, 3))  # vertices of no face
+    one = cleaned(Scan("a", np.concatenate([mesh.vertices, stray]), faces=np.asarray(mesh.faces)))
+    cloud = one.cloud
+    assert len(cloud.points) == SCANS.cleaning.max_points > 5 * len(mesh.vertices)
+    share = mesh.area_faces[mesh.triangles_center[:, 1] > 0.3].sum() / mesh.area
+    assert (cloud.points[:, 1] > 0.3).mean() == pytest.approx(share, abs=0.02)
+    _, distance, _ = trimesh.proximity.closest_point(mesh, cloud.points[:500])
+    assert distance.max() < 1e-9
+    out = cloud.points / np.linalg.norm(cloud.points, axis=1, keepdims=True)
+    assert ((out * cloud.normals).sum(1) > 0.9).mean() > 0.99
 
 
 def scan_evidence(**changes):

@@ -10,7 +10,8 @@ Where to begin: `scans` is the recipe for scans and `settings` holds its constan
     free_surface                                free surface of a scan about the fitted model
     scan_colours, skin_colours, skin_grid       texture shared by scans; places along the skin
     scan, scan_start, limbs                     cleaning; multi-start search; lost limbs and hands
-    scan_result                                 result, evidence and verdict of a scan fit
+    clothes                                     clothes and hair of a scan: weights, what hangs off
+    scan_evidence, scan_result                  evidence; result and verdict of a scan fit
     depth_energy                                depth energy: all terms and their minimisation;
                                                 correspondences of depth and outline (`match`)
     skin_offsets                                its term depth with skin offsets; clothes and hair
@@ -31,8 +32,9 @@ of these terms is ours). Numbers are those of `ScanSettings.stages` and `.offset
     points  w min(1, 1500/N) / noise^2,            ScanStage.noise,        point to plane, and share
             noise 10, 5 mm                         effective_points        `slide` of point to point
     offset  w / noise^2, noise 10, 4, 2.5 mm;      ScanStage.noise;        point to plane of model
-            prior Q: sd 4 mm (bony 2), range       offsets,                with offset; h about h0
-            0.19, smoothness 1, at last 2          ScanStage.smoothness
+            prior Q: sd 4 mm (bony 2), range       offsets,                with offset; h about h0,
+            0.19, smoothness 1, at last 2; of      ScanStage.smoothness,   which a person's scans
+            several scans at last Q / 0.5^2        own_offsets             share
     shape   1; in a sequence 1/0.5^2               ScanStage.shape,        betas - 0, or those of
                                                    shape_change            the frame before
     pose    1 x precision of the pose prior        ScanStage.pose          pose - mean, no root

@@ -52,8 +52,9 @@ class Clothes:
         """Laid out once for a body."""
         hair = scalp(body, STANDARD.hairline)
         thickness = settings.thickness * worn_on(body, STANDARD.clothed) + settings.hair * hair
-        parts = part_of_joint(body.joint_names, body.parents)
-        loose = body.skinning_weights[:, [part == BODY for part in parts]].sum(1)
+        parts = zip(body.joint_names, part_of_joint(body.joint_names, body.parents), strict=True)
+        worn = [part == BODY and name not in settings.bare for name, part in parts]
+        loose = body.skinning_weights[:, worn].sum(1)
         ease = settings.ease * loose + settings.hair_ease * hair
         covered = (settings.ease > 0.0) * loose + (settings.hair_ease > 0.0) * hair
         return Clothes(thickness, ease, np.minimum(covered, 1.0), settings)

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from habitus.errors import HabitusError
 from habitus.fit.points.settings import SCANS, CleaningSettings
-from habitus.mesh.normals import vertex_normals
+from habitus.mesh.normals import face_normals, vertex_normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +166,8 @@ def _cloud(
     rng: np.random.Generator,
     settings: CleaningSettings,
 ) -> Cloud:
-    rows = np.flatnonzero(kept)
-    rows = rows[rng.permutation(len(rows))[: settings.max_points]]
-    points = scale * scan.points[rows]
-    normals = None if scan.normals is None else scan.normals[rows]
-    if normals is None and scan.faces is not None:
-        normals = vertex_normals(scan.points, scan.faces)[rows]
+    points, normals = _surface_points(scan, kept, settings.max_points, rng)
+    points = scale * points
     if normals is None or (np.linalg.norm(normals, axis=1) < 0.5).mean() > 0.02:
         normals, near = plane_normals(points, settings.normal_neighbours)
         return Cloud(points, outward(points, normals, near, settings=settings))
@@ -181,6 +177,30 @@ def _cloud(
     normals = normals[good] / length[good]
     near = neighbours_of(points, settings.normal_neighbours)
     return Cloud(points, outward(points, normals, near, carry=False, settings=settings))
+
+
+def _surface_points(
+    scan: Scan, kept: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"] | None]:
+    """Some points that are kept, and their normals where the scan has them: of a mesh drawn evenly
+    from its faces, whose vertices may be few, or dense at hands and face.
+    """
+    normals = scan.normals
+    if scan.faces is not None and len(scan.faces):
+        faces = scan.faces[kept[scan.faces].all(1)]
+        area = np.linalg.norm(face_normals(scan.points, faces), axis=1)
+        if area.sum() > 0.0:
+            if normals is None:
+                normals = vertex_normals(np.where(kept[:, None], scan.points, 0.0), faces)
+            face = faces[rng.choice(len(faces), count, p=area / area.sum())]
+            share = rng.dirichlet((1.0, 1.0, 1.0), count)
+            points, normals = (
+                np.einsum("pk,pkc->pc", share, each[face]) for each in (scan.points, normals)
+            )
+            return points, normals
+    rows = np.flatnonzero(kept)
+    rows = rows[rng.permutation(len(rows))[:count]]
+    return scan.points[rows], None if normals is None else normals[rows]
 
 
 def find_floor(

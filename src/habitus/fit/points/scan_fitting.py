@@ -19,9 +19,13 @@ and eliminated from each step exactly (variable projection, Golub and Pereyra 19
 then follow what a smooth offset cannot explain, the form of a knee sooner than the girth of a
 thigh.
 
-h0 and betas0 are 0 and theta0 the prior's mean; in a sequence all three are those of the frame
-before, lambda_shape is divided by `shape_change`^2 and Q by `offset_change`^2. lambda_shape and
-lambda_pose are `ScanStage.shape` and `.pose`; s is `ScanStage.slide`.
+h0 and betas0 are 0 and theta0 the prior's mean. Several scans of a person share h0 where
+`ScanStage.own_offsets`, a, is below 1: h0 ~ N(0, (1 - a^2) Q^-1) is renewed before each step from
+all h (`shared_offset`), and each h lies about it with precision Q / a^2. Under tight clothes h0 is
+their thickness more, loose ones change w_p (`habitus.fit.points.clothes`). In a sequence all
+three are those of the frame before, lambda_shape is divided by `shape_change`^2 and Q by
+`offset_change`^2. lambda_shape and lambda_pose are `ScanStage.shape` and `.pose`; s is
+`ScanStage.slide`.
 """
 
 from collections.abc import Mapping, Sequence

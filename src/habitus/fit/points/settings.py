@@ -347,7 +347,9 @@ class ClothesSettings:
     hair: float = 0.0
     """Thickness of flat hair."""
     ease: float = 0.0
-    """Mean distance by which cloth hangs off the skin: everywhere but on head, hands and feet."""
+    """Mean distance by which cloth hangs off the skin: everywhere but on head, hands, feet and the
+    joints of ``bare``."""
+    bare: tuple[str, ...] = ("neck",)
     hair_ease: float = 0.0
     """The same of hair."""
     points: int = 1500
