@@ -84,19 +84,19 @@ def rows_of(k: int, options: argparse.Namespace) -> list[dict]:
 def measure(options: argparse.Namespace) -> dict:
     """All people."""
     rows = [row for k in range(options.scans) for row in rows_of(k, options)]
-    summary = []
+    summary = {}
     for clothes in options.clothes:
         own = [row for row in rows if row["clothes"] == clothes]
         levels = [row["verdict"] for row in own]
-        found = {"clothes": clothes, "people": len(own)}
+        found: dict[str, float] = {"people": len(own)}
         for name in ("mean", "p95", "outwards under cloth", "CPU seconds"):
             found[name] = float(np.median([row[name] for row in own]))
         for name in ("chest", "waist", "hip", "height"):
             found[f"{name} rmse cm"] = float(np.sqrt(np.mean([row[name] ** 2 for row in own])))
             found[f"{name} bias cm"] = float(np.mean([row[name] for row in own]))
-        summary.append(
-            found | {level: levels.count(level) for level in ("good", "doubtful", "failed")}
-        )
+        summary[clothes] = found | {
+            level: levels.count(level) for level in ("good", "doubtful", "failed")
+        }
     return {"summary": summary, "rows": rows}
 
 
@@ -104,7 +104,7 @@ def show(found: dict) -> None:
     """Print the tables."""
     rows = [{k: v for k, v in row.items() if k != "reasons"} for row in found["rows"]]
     show_table("people in clothes, mm and cm", rows, 1)
-    show_table("medians", found["summary"], 1)
+    show_table("medians", [{"clothes": k, **v} for k, v in found["summary"].items()], 1)
 
 
 if __name__ == "__main__":

@@ -130,6 +130,10 @@ LINES = (
             Line("robots", f"{program}: frames a second, median", f"rows/program={program}/frames a second", "median", "{:,.0f}"),
         )
     ),
+    Line("clothed_people", "skin, mean error, taken for skin", "summary/none/mean", form="{:.1f} mm"),
+    Line("clothed_people", "skin, mean error, loose clothes", "summary/loose/mean", form="{:.1f} mm"),
+    Line("clothed_people", "waist, RMSE, taken for skin", "summary/none/waist rmse cm", form="{:.1f} cm"),
+    Line("clothed_people", "waist, RMSE, loose clothes", "summary/loose/waist rmse cm", form="{:.1f} cm"),
     Line("wide_people", "people", "summary/people"),
     Line("wide_people", "right (without hands: mean error up to 3 mm, 95 % up to 7 mm)", "summary/right"),
     Line("wide_people", "called good of the right", "summary/good of the right"),
