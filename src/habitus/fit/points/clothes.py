@@ -1,12 +1,14 @@
-"""What a scanned person wears: how far scan and skin lie apart.
+"""Clothes and hair of a scanned person: the distance between scan and skin.
 
     w_p -> w_p min(1, c noise^2 / (e |d_p|))    where the scan lies outside the surface by d_p
 
-Tight clothes and hair lie on the skin at a known thickness. Loose clothes hang off it by unknown
-distances, exponentially distributed with mean e, and touch it in places, so that the skin is where
-little of the scan is inside of it: points outside pull by a slope 1 / e, not by a square (both by
-one weight, as in iteratively reweighted least squares). Where cloth hangs the surface is the model
-with its offsets, and its vertices have no weight.
+Tight clothes and hair lie on the skin with a known thickness. Loose clothes hang off it by unknown
+distances, exponentially distributed with mean e, and touch it in places. A point outside the
+surface therefore pulls with a constant force, 1 / e, instead of one that grows with the distance
+(written as a weight, as in iteratively reweighted least squares), and a point inside as before: the
+skin comes to lie where few points are inside of it. Neighbouring points of cloth are not
+independent; c = min(1, `ClothesSettings.points` / N) counts all N as that many. Under loose clothes
+the surface is the model with its skin offsets, and its vertices have weight 0.
 """
 
 from collections.abc import Mapping
@@ -33,13 +35,14 @@ REGIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "head": ("head",),
     }
 )
-"""Parts of the body, by the joints that carry them, for each of which cloth is told."""
+"""Parts of the body for which the distance of cloth from the skin is reported, by their joints."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clothes:
-    """Of each vertex of a body: the thickness (V,; m) of what lies on the skin, the mean distance
-    (V,; m) of what hangs off it, 0 where nothing does, and whether (V,; 0 to 1) that may be.
+    """Of each vertex of a body: ``thickness`` (V,; m) of tight clothes and hair, ``ease`` (V,; m),
+    the mean distance of loose ones from the skin, 0 where there are none, and ``covered`` (V,), 1
+    where there may be loose ones and 0 elsewhere.
     """
 
     thickness: Float[np.ndarray, " V"]
@@ -49,7 +52,7 @@ class Clothes:
 
     @staticmethod
     def of(body: BodyModel, settings: ClothesSettings) -> "Clothes":
-        """Laid out once for a body."""
+        """The clothes of a body; computed once."""
         hair = scalp(body, STANDARD.hairline)
         thickness = settings.thickness * worn_on(body, STANDARD.clothed) + settings.hair * hair
         parts = zip(body.joint_names, part_of_joint(body.joint_names, body.parents), strict=True)

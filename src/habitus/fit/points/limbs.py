@@ -230,12 +230,12 @@ def limbs_searched_again(
 
 
 def with_usual_joints(guesser: Guesser, state: BodyState, cloud: Cloud) -> BodyState:
-    """The state of one scan with each arm, leg and head placed anew of which a joint is bent as
-    nobody's (`LimbSettings.unusual`), from where it is and from the prior's mean; what has less
-    energy stays.
+    """The state of one scan, with arms, legs and head searched again if one of their joints is bent
+    further than people bend it (`LimbSettings.unusual`).
 
-    An arm turned half about itself is held to the scan by its collar, and what of the scan that
-    leaves off the model is too little for `limbs_searched_again`.
+    The search begins at the state and at the prior's mean; the state of least energy is kept. An
+    arm that is turned by half a turn about itself reaches the scan by a displaced collar, and
+    leaves too little of the scan off the surface for `limbs_searched_again`.
     """
     fitter = guesser.fitter
     settings = fitter.settings.limbs

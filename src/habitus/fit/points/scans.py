@@ -3,7 +3,8 @@ all scans of a person.
 
 1. Each scan by itself: pose and translation from nothing (`scan_start`), the best few refined
    (`scan_fitting`), hands and feet turned (`limbs`).
-2. All scans together: one shape, a pose each, with skin offsets; of several bodies, women's and
+2. All scans together, but those whose own shape is unlike the others' (each by itself): one shape,
+   a pose each, with skin offsets; of several bodies, women's and
    men's, the one with the least energy goes on:
 
        E = 1/2 sum_p rho(d_p) / noise^2 + 1/2 h^T Q h + 1/2 |betas|^2
@@ -29,11 +30,7 @@ from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.offsets import along_normals
-from habitus.fit.points.correspondences import (
-    Topology,
-    hidden_vertices,
-    vertex_weights,
-)
+from habitus.fit.points.correspondences import Topology, hidden_vertices, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
 from habitus.fit.points.limbs import (
     extremities,
@@ -45,12 +42,7 @@ from habitus.fit.points.limbs import (
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_around
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
-from habitus.fit.points.scan_result import (
-    LIMITS,
-    ScanFit,
-    at_rest,
-    limbs_compared,
-)
+from habitus.fit.points.scan_result import LIMITS, ScanFit, at_rest, limbs_compared
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import carried, joined, with_joints_of
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
@@ -340,7 +332,7 @@ class Registrar:
         return self._under_cloth(surface, start)
 
     def _under_cloth(self, surface: np.ndarray, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
-        """The surface, as it was before it followed the scan where cloth may hang off it."""
+        """The free surface, and under loose clothes the model with its offsets, ``start``."""
         covered = self.fitter.clothes.covered[:, None]
         return covered * start + (1.0 - covered) * surface
 
@@ -385,11 +377,8 @@ class Registrar:
         state, topology, clothes = scan.state, self.fitter.topology, self.fitter.clothes
         model = self.fitter.vertices(state)
         names = self.body.joint_names
-        bent = np.where(
-            extremities(self.body),
-            0.0,
-            np.append(0.0, self.fitter.prior.joint_deviations(state.pose[0])),
-        )
+        bent = np.append(0.0, self.fitter.prior.joint_deviations(state.pose[0]))
+        bent[extremities(self.body)] = 0.0
         rarest = int(bent.argmax())
         skin = along_normals(scan.surface, -clothes.thickness, self.body)
         deviation = self.fitter.prior.whitening @ (
@@ -436,7 +425,7 @@ class Clock:
         """Of what runs inside."""
         began = time.perf_counter()
         yield
-        self.seconds[name] = time.perf_counter() - began
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
 
 def _last(k: int, previous: BodyState) -> slice:

@@ -1,0 +1,50 @@
+"""A joint bent further than people bend it, and the limb that is searched again because of it."""
+
+import numpy as np
+import pytest
+
+from habitus.body.prior import PosePrior, prior_of
+from habitus.body.state import BodyState
+from habitus.fit.points.limbs import extremities, with_usual_joints
+from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scans import Registrar
+from habitus.io.models.bodies import load_body
+from habitus.mesh.normals import vertex_normals
+from habitus_lab.population.coarse_bodies import coarse_body
+
+
+def test_a_joints_deviation_is_that_of_its_own_gaussian():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(9, 9))
+    prior = PosePrior(("a", "b", "c"), rng.normal(size=9), root @ root.T)
+    pose = rng.normal(size=(4, 3))
+    found = prior.joint_deviations(pose)
+    for k in range(3):
+        own = slice(3 * k, 3 * k + 3)
+        off = pose[k + 1] - prior.mean[own]
+        expected = np.sqrt(off @ np.linalg.inv(prior.covariance[own, own]) @ off)
+        assert found[k] == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_arm_held_to_the_scan_by_its_collar_is_found():
+    body = coarse_body(load_body("default"), 600)
+    registrar = Registrar.of(body, prior_of(load_body("default")))
+    prior, names = registrar.fitter.prior, body.joint_names
+    pose = np.concatenate([np.zeros((1, 3)), prior.mean.reshape(-1, 3)])
+    true = np.asarray(body(np.zeros(body.num_betas), pose).vertices)
+    wrong = pose.copy()
+    wrong[names.index("left_collar")] = 0.3, 1.1, -0.1
+    wrong[names.index("left_shoulder")] = -2.2, -0.5, -1.9
+    cloud = Cloud(true, vertex_normals(true, body.faces))
+    before = BodyState(np.zeros(body.num_betas), wrong[None], np.zeros((1, 3)))
+    after = with_usual_joints(registrar.guesser, before, cloud)
+    arm = np.isin(body.strongest_joint, [names.index(f"left_{j}") for j in ("shoulder", "elbow")])
+    off = [
+        np.linalg.norm(registrar.fitter.vertices(each) - true, axis=1)[arm].mean()
+        for each in (before, after)
+    ]
+    assert off[0] > 0.15 and off[1] < 0.02
+    usual = prior.joint_deviations(after.pose[0])[~extremities(body)[1:]]
+    assert usual.max() < registrar.settings.limbs.unusual
+    same = with_usual_joints(registrar.guesser, after, cloud)
+    np.testing.assert_array_equal(same.pose, after.pose)
