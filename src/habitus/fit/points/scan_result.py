@@ -306,13 +306,12 @@ class ScanFit:
     share of the scan that was left out as separate components. ``up_axis``
     is the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
-    ``costs``: its cost by term. ``unlike``: how far (m, RMS) its
-    shape by itself is from those of the person's other scans, where that is too far and it was
-    registered alone. ``rarest_joint``: the one of trunk,
-    limbs and head that is furthest from the prior's mean by itself, and ``joint_deviation`` how
-    far, in its standard deviations. ``covered`` (V,): 1 where
-    loose clothes or hair may hang off the skin, which is estimated there (None: nowhere);
-    ``cloth``: by region, how far (m, median) the scan is off it.
+    ``costs``: its cost by term. ``unlike``: how far (m, RMS) the shape is from the
+    median of the person's scans, where it was registered alone and is too far. ``rarest_joint``:
+    the joint of trunk, limbs and head that is furthest from the prior's mean by itself, and
+    ``joint_deviation`` how far, in its standard deviations. ``covered`` (V,): 1 where loose clothes
+    or hair may hang off the skin, which is estimated there (None: nowhere); ``cloth``: by region,
+    how far (m, median) the scan is off it.
     """
 
     scan_name: str

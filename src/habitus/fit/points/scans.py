@@ -4,8 +4,8 @@ all scans of a person.
 1. Each scan by itself: pose and translation from nothing (`scan_start`), the best few refined
    (`scan_fitting`), hands and feet turned (`limbs`).
 2. All scans together, but those whose own shape is unlike the others' (each by itself): one shape,
-   a pose each, with skin offsets; of several bodies, women's and
-   men's, the one with the least energy goes on:
+   a pose each, with skin offsets; of several bodies, women's and men's, the one with the least
+   energy goes on:
 
        E = 1/2 sum_p rho(d_p) / noise^2 + 1/2 h^T Q h + 1/2 |betas|^2
            + 1/2 (theta - mean)^T P (theta - mean)
@@ -156,11 +156,11 @@ class Registrar:
                 last = None if previous is None else previous[_last(k, previous)]
                 started.append(self._started(scan, up, last))
         people = [k for k, scan in enumerate(started) if scan.person]
-        unlike = self._unlike([started[k].state.betas for k in people])
-        alone = [[k] for k, off in zip(people, unlike, strict=True) if off]
-        alike = [k for k in people if [k] not in alone]
+        shapes = [self.body.rest_vertices(started[k].state.betas) for k in people]
+        unlike = [k for k, off in zip(people, self._unlike(shapes), strict=True) if off]
+        alike = [k for k in people if k not in unlike]
         fits: dict[int, ScanFit] = {}
-        for group in filter(None, [alike, *alone]):
+        for group in filter(None, [alike, *([k] for k in unlike)]):
             progress("model", 0.5)
             with clock("model"):
                 best, fitted = self._fitted_best([started[k] for k in group])
@@ -169,8 +169,11 @@ class Registrar:
                 fitted = best._limbs_searched(fitted)
             found = limbs_compared([best._result(scan) for scan in fitted])
             for k, fit in zip(group, found, strict=True):
-                notes = _notes(started[k], True, self, best)
-                fits[k] = replace(fit, notes=notes, unlike=unlike[people.index(k)])
+                fits[k] = replace(fit, notes=_notes(started[k], True, self, best))
+        if unlike:
+            shapes = [fits[k].body.rest_vertices(fits[k].betas) for k in people]
+            for k, off in zip(people, self._unlike(shapes), strict=True):
+                fits[k] = replace(fits[k], unlike=off if k in unlike else 0.0)
         seconds = {name: each / len(scans) for name, each in clock.seconds.items()}
         for k, scan in enumerate(started):
             if k not in fits:
@@ -180,15 +183,14 @@ class Registrar:
             for k, scan in enumerate(started)
         ]
 
-    def _unlike(self, betas: Sequence[Float[np.ndarray, " B"]]) -> list[float]:
-        """How far (m, RMS) the shape of each scan by itself is from the median of all, where it is
-        too far for one person; 0 for the others, and for all of fewer than three.
+    def _unlike(self, shapes: Sequence[Float[np.ndarray, "V 3"]]) -> list[float]:
+        """How far (m, RMS) each scan's shape at rest is from the median of all, where it is too far
+        for one person; 0 for the others, and for all of fewer than three.
         """
-        if len(betas) < 3:
-            return [0.0] * len(betas)
-        middle = self.body.rest_vertices(np.median(betas, 0))
-        off = [self.body.rest_vertices(each) - middle for each in betas]
-        distances = [float(np.sqrt(np.square(each).sum(1).mean())) for each in off]
+        if len(shapes) < 3:
+            return [0.0] * len(shapes)
+        off = np.array(shapes) - np.median(shapes, 0)
+        distances = np.sqrt(np.square(off).sum(2).mean(1)).tolist()
         return [each if each > self.settings.one_person else 0.0 for each in distances]
 
     def _started(self, scan: Cleaned, up: str, previous: BodyState | None) -> Registered:
