@@ -98,8 +98,15 @@ def register_scans(
         read = [scan for each in people.values() for scan in each]
         if options.texture:
             check_colours(read)
-        names = _folders(read, Path(out)) if out is not None else []
-        settings = replace(options.settings or SCANS, clothes=CLOTHES[options.clothes])
+        titles = [
+            f"{person}_{scan.name}" if options.coregister else scan.name
+            for person, each in people.items()
+            for scan in each
+        ]
+        names = _folders(titles, Path(out)) if out is not None else []
+        settings = options.settings or SCANS
+        if options.clothes != "none":
+            settings = replace(settings, clothes=CLOTHES[options.clothes])
         registrar = made_ready(body, options.age, settings)
         asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
         trained = None
@@ -182,9 +189,9 @@ def _read(one: Scan | PathLike) -> list[Scan]:
     return [one] if isinstance(one, Scan) else [read_scan(path) for path in scans_in([one])]
 
 
-def _folders(scans: Sequence[Scan], out: Path) -> list[str]:
+def _folders(titles: Sequence[str], out: Path) -> list[str]:
     """A folder's name for each scan. Raises HabitusError where two would share one."""
-    names = [file_name(scan.name, f"the scan {scan.name!r}") for scan in scans]
+    names = [file_name(title, f"the scan {title!r}") for title in titles]
     twice = one_file(names, out)
     if twice:
         raise HabitusError(
