@@ -18,6 +18,7 @@ import time
 
 import numpy as np
 from common import parser, run, show_table
+from foreign_people import SIDES
 
 import habitus as hb
 from habitus.fit.points.correspondences import hidden_vertices
@@ -28,7 +29,6 @@ from habitus_lab.population.clothed import OUTFITS, clothed
 from habitus_lab.population.scans import Scanner, scanned, stance
 from habitus_lab.population.wide import is_bony
 
-SIDES = tuple((np.sin(a), h, np.cos(a)) for a in np.arange(6) * np.pi / 3 for h in (-0.3, 0.6))
 STANCES = ("A", "elbows bent", "step")
 SKIN = 0.004
 GIRTHS = ("chest_circumference_m", "waist_circumference_m", "hip_circumference_m")
@@ -62,7 +62,7 @@ def rows_of(k: int, options: argparse.Namespace) -> list[dict]:
         true = (skin @ fit.to_body[:3, :3].T + fit.to_body[:3, 3])[fit.body.full_vertices]
         apart = 1e3 * np.linalg.norm(fit.vertices - true, axis=1)
         outwards = ((fit.vertices - true) * vertex_normals(true, fit.body.faces)).sum(1)
-        worn = person.covered[fit.body.full_vertices] > 0.5
+        covered = person.covered[fit.body.full_vertices] > 0.5
         counted = ~hidden_vertices(fit.body)
         counted &= vertex_parts(fit.body) != PARTS.index("hands")
         row = {
@@ -72,7 +72,7 @@ def rows_of(k: int, options: argparse.Namespace) -> list[dict]:
             "verdict": fit.verdict.level,
             "mean": float(apart[counted].mean()),
             "p95": float(np.percentile(apart[counted], 95)),
-            "outwards under cloth": float(1e3 * outwards[counted & worn].mean()),
+            "outwards under cloth": float(1e3 * outwards[counted & covered].mean()),
         }
         for name in GIRTHS:
             row[name.split("_")[0]] = 100.0 * (fit.measurements[name] - true_girths[name])

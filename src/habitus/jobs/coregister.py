@@ -73,23 +73,28 @@ def trained(body: BodyModel, fits: Mapping[str, Sequence[ScanFit]]) -> BodyModel
     """
     from habitus.jobs.train import Trainer
 
-    data = registrations(fits)
+    every = [(name, fit) for name, each in fits.items() for fit in each]
+    people = [name for name, _ in every]
+    data = registrations([fit for _, fit in every], [fit.scan_name for _, fit in every], people)
     trainer = Trainer(start="body", fixed=HELD, num_betas=len(fits), rounds=ROUNDS)
     return trainer.fit(data, template=body, workers=1).body
 
 
-def registrations(fits: Mapping[str, Sequence[ScanFit]]) -> Registrations:
-    """What a body is trained on."""
-    every = [(name, fit) for name, each in fits.items() for fit in each]
+def registrations(
+    fits: Sequence[ScanFit], names: Sequence[str], subjects: Sequence[str], sex: str = ""
+) -> Registrations:
+    """Registered scans as the data that a body is trained on: those of people with several scans
+    belong to the set "pose", the others to "shape".
+    """
     return Registrations(
-        np.stack([fit.vertices for _, fit in every]),
-        every[0][1].body.faces,
-        tuple(name for name, _ in every),
-        ("",) * len(every),
-        ("pose",) * len(every),
-        tuple(fit.scan_name for _, fit in every),
-        np.stack([fit.weights for _, fit in every]),
-        verdict=tuple(fit.verdict.level for _, fit in every),
+        vertices=np.stack([fit.vertices for fit in fits]),
+        faces=fits[0].body.faces,
+        subject=tuple(subjects),
+        sex=(sex,) * len(fits),
+        set=tuple("pose" if list(subjects).count(one) > 1 else "shape" for one in subjects),
+        name=tuple(names),
+        weights=np.stack([fit.weights for fit in fits]),
+        verdict=tuple(fit.verdict.level for fit in fits),
     )
 
 

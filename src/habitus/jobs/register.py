@@ -7,8 +7,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
@@ -23,11 +21,10 @@ from habitus.io.names import file_name, one_file
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
-from habitus.jobs.coregister import coregistered
+from habitus.jobs.coregister import coregistered, registrations
 from habitus.jobs.options import RegisterOptions, takes
 from habitus.jobs.results import with_methods
 from habitus.kernels.threads import one_blas_thread
-from habitus.mesh.registrations import Registrations
 from habitus.report.registration import scan_page
 from habitus.results.save import SCAN_FILES, result_lock, save_scan
 from habitus.types import PathLike, Progress
@@ -98,29 +95,13 @@ def register_scans(
         read = [scan for each in people.values() for scan in each]
         if options.texture:
             check_colours(read)
-        titles = [
-            f"{person}_{scan.name}" if options.coregister else scan.name
-            for person, each in people.items()
-            for scan in each
-        ]
-        names = _folders(titles, Path(out)) if out is not None else []
+        names = _folders(people, options, Path(out)) if out is not None else []
         settings = options.settings or SCANS
         if options.clothes != "none":
             settings = replace(settings, clothes=CLOTHES[options.clothes])
         registrar = made_ready(body, options.age, settings)
-        asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
-        trained = None
         with one_blas_thread():
-            if options.coregister:
-                registrar = replace(registrar, others=(), fingered=None)
-                done = coregistered(registrar, people, asked, progress)
-                trained = done.body
-                fits = [fit for each in done.fits.values() for fit in each]
-            else:
-                run = _in_time if options.sequence else _together
-                fits = [
-                    fit for each in people.values() for fit in run(registrar, each, asked, progress)
-                ]
+            fits, trained = _registered(registrar, people, options, progress)
             if options.texture:
                 progress("colours", 0.9)
                 fits = with_colours(
@@ -132,17 +113,31 @@ def register_scans(
         if out is not None:
             for fit, name in zip(results, names, strict=True):
                 fit.save(Path(out) / name)
-            if options.separate:
-                subjects = names
-            elif options.coregister:
-                subjects = [name for name, each in people.items() for _ in each]
-            else:
-                subjects = [file_name(Path(out).resolve().name)] * len(fits)
-            write_registrations(_dataset(fits, names, subjects, sex), Path(out) / DATASET)
+            subjects = names
+            if not options.separate:
+                whole = file_name(Path(out).resolve().name)
+                subjects = [person or whole for person, each in people.items() for _ in each]
+            write_registrations(registrations(fits, names, subjects, sex), Path(out) / DATASET)
             if trained is not None:
                 save_body(trained, Path(out) / TRAINED)
         progress("done", 1.0)
         return results
+
+
+def _registered(
+    registrar: Registrar,
+    people: Mapping[str, Sequence[Scan]],
+    options: RegisterOptions,
+    progress: Progress,
+) -> tuple[list[ScanFit], BodyModel | None]:
+    """The fits of all scans, and the body that was trained on them (None: none was)."""
+    asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
+    if options.coregister:
+        one_body = replace(registrar, others=(), fingered=None)
+        done = coregistered(one_body, people, asked, progress)
+        return [fit for each in done.fits.values() for fit in each], done.body
+    run = _in_time if options.sequence else _together
+    return [fit for each in people.values() for fit in run(registrar, each, asked, progress)], None
 
 
 def _people(given: Sequence[Scan | PathLike], options: RegisterOptions) -> dict[str, list[Scan]]:
@@ -189,8 +184,15 @@ def _read(one: Scan | PathLike) -> list[Scan]:
     return [one] if isinstance(one, Scan) else [read_scan(path) for path in scans_in([one])]
 
 
-def _folders(titles: Sequence[str], out: Path) -> list[str]:
+def _folders(
+    people: Mapping[str, Sequence[Scan]], options: RegisterOptions, out: Path
+) -> list[str]:
     """A folder's name for each scan. Raises HabitusError where two would share one."""
+    titles = [
+        f"{person}_{scan.name}" if options.coregister else scan.name
+        for person, each in people.items()
+        for scan in each
+    ]
     names = [file_name(title, f"the scan {title!r}") for title in titles]
     twice = one_file(names, out)
     if twice:
@@ -224,18 +226,3 @@ def _in_time(
         fits += registrar.register([scan], **here, previous=previous)
         progress("sequence", k / len(scans))
     return fits
-
-
-def _dataset(
-    fits: Sequence[ScanFit], names: Sequence[str], subjects: Sequence[str], sex: str
-) -> Registrations:
-    return Registrations(
-        vertices=np.stack([fit.vertices for fit in fits]),
-        faces=fits[0].body.faces,
-        subject=tuple(subjects),
-        sex=(sex,) * len(fits),
-        set=tuple("pose" if list(subjects).count(one) > 1 else "shape" for one in subjects),
-        name=tuple(names),
-        weights=np.stack([fit.weights for fit in fits]),
-        verdict=tuple(fit.verdict.level for fit in fits),
-    )

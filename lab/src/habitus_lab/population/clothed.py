@@ -52,12 +52,12 @@ RING = 96
 
 @dataclass(frozen=True)
 class ClothedPerson:
-    """What a scanner sees, vertices (m) and faces, and the skin under it (V, 3; m)."""
+    """What a scanner sees, ``vertices`` (N, 3; m) and ``faces`` (F, 3), and which vertices of the
+    body clothes cover: ``covered`` (V,), 0 or 1.
+    """
 
-    outfit: tuple[str, ...]
     vertices: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "F 3"]
-    skin: Float[np.ndarray, "V 3"]
     covered: Float[np.ndarray, " V"]
 
 
@@ -77,19 +77,19 @@ def clothed(
     for garment in outfit:
         if garment == "skirt":
             more.append(_skirt(body, skin, rng))
-            covered = np.maximum(covered, _worn(body, ("pelvis", "hip")))
+            covered = np.maximum(covered, _mask(body, ("pelvis", "hip")))
             continue
-        worn = _worn(body, GARMENTS[garment])
-        seen = np.where(worn[:, None] > 0.0, _cloth(body, skin, worn, EASE[garment], rng), seen)
-        covered = np.maximum(covered, worn)
+        mask = _mask(body, GARMENTS[garment])
+        seen = np.where(mask[:, None] > 0.0, _cloth(body, skin, mask, EASE[garment], rng), seen)
+        covered = np.maximum(covered, mask)
     vertices, triangles = [seen], [faces]
     for points, rings in more:
         triangles.append(rings + sum(map(len, vertices)))
         vertices.append(points)
-    return ClothedPerson(outfit, np.concatenate(vertices), np.concatenate(triangles), skin, covered)
+    return ClothedPerson(np.concatenate(vertices), np.concatenate(triangles), covered)
 
 
-def _worn(body: BodyModel, joints: tuple[str, ...]) -> Float[np.ndarray, " V"]:
+def _mask(body: BodyModel, joints: tuple[str, ...]) -> Float[np.ndarray, " V"]:
     """1 at vertices that ride on those joints for the most part."""
     plain = [name.removeprefix("left_").removeprefix("right_") for name in body.joint_names]
     mine = [k for k, name in enumerate(plain) if name in joints]
@@ -99,7 +99,7 @@ def _worn(body: BodyModel, joints: tuple[str, ...]) -> Float[np.ndarray, " V"]:
 def _cloth(
     body: BodyModel,
     skin: np.ndarray,
-    worn: np.ndarray,
+    mask: np.ndarray,
     ease: tuple[float, float],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "V 3"]:
@@ -109,13 +109,13 @@ def _cloth(
     hanging = 1.0 - np.clip(1.5 * normal[:, 1], 0.0, 1.0)
     off = CLOTH + rng.uniform(*ease) * 2.0 * field * hanging
     off += WRINKLES * hanging * np.abs(smooth_field(3.0 * body.v_template, rng)[:, 0])
-    cloth = skin + (worn * off)[:, None] * normal
+    cloth = skin + (mask * off)[:, None] * normal
     near = csr_array(igl.adjacency_matrix(np.asarray(body.faces, np.int64)), dtype=float)
     mean = diags_array(1.0 / np.maximum(near.sum(1), 1.0)) @ near
     for _ in range(SMOOTHINGS):
-        cloth = np.where(worn[:, None] > 0.0, 0.5 * (cloth + mean @ cloth), cloth)
+        cloth = np.where(mask[:, None] > 0.0, 0.5 * (cloth + mean @ cloth), cloth)
         inside = np.maximum(CLOTH, KEPT * off) - ((cloth - skin) * normal).sum(1)
-        cloth += (worn * np.maximum(inside, 0.0))[:, None] * normal
+        cloth += (mask * np.maximum(inside, 0.0))[:, None] * normal
     return cloth
 
 

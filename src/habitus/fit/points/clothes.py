@@ -22,7 +22,7 @@ from habitus.body.model import BodyModel
 from habitus.fit.points.correspondences import Correspondences
 from habitus.fit.points.depth_settings import STANDARD
 from habitus.fit.points.settings import ClothesSettings
-from habitus.fit.points.skin_offsets import scalp, worn_on
+from habitus.fit.points.skin_offsets import cover_of, scalp
 from habitus.fit.verdict import BODY, part_of_joint
 
 REGIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -54,10 +54,10 @@ class Clothes:
     def of(body: BodyModel, settings: ClothesSettings) -> "Clothes":
         """The clothes of a body; computed once."""
         hair = scalp(body, STANDARD.hairline)
-        thickness = settings.thickness * worn_on(body, STANDARD.clothed) + settings.hair * hair
+        thickness = settings.thickness * cover_of(body, STANDARD.clothed) + settings.hair * hair
         parts = zip(body.joint_names, part_of_joint(body.joint_names, body.parents), strict=True)
-        worn = [part == BODY and name not in settings.bare for name, part in parts]
-        loose = body.skinning_weights[:, worn].sum(1)
+        clothed = [part == BODY and name not in settings.bare for name, part in parts]
+        loose = body.skinning_weights[:, clothed].sum(1)
         ease = settings.ease * loose + settings.hair_ease * hair
         covered = (settings.ease > 0.0) * loose + (settings.hair_ease > 0.0) * hair
         return Clothes(thickness, ease, np.minimum(covered, 1.0), settings)

@@ -170,9 +170,9 @@ class ScanFitter:
         colours: of each scan, places along the skin, where offsets have no part.
         """
         spread = offset_spread(self.body, self.settings.offsets)
-        worn = mean = self.clothes.thickness
+        thickness = mean = self.clothes.thickness
         if self.previous is not None:
-            mean = worn + self.previous.offset
+            mean = thickness + self.previous.offset
             spread = self.settings.offset_change * spread
         models = [self.vertices(state, k) for k in range(len(clouds))]
         alone = len(clouds) == 1 or self.previous is not None
@@ -193,7 +193,7 @@ class ScanFitter:
             share = 1.0 if alone else stage.own_offsets
             if scans and not alone:
                 offsets = [scan.offset_at(self.vertices(now, k)) for k, scan in enumerate(scans)]
-                mean = worn + shared_offset(np.array(offsets) - worn, share)
+                mean = thickness + shared_offset(np.array(offsets) - thickness, share)
             scans = [
                 OffsetEquations.of(
                     self,

@@ -78,11 +78,11 @@ class SkinField:
 
 def clothing(body: BodyModel, settings: RgbdSettings) -> Float[np.ndarray, " V"]:
     """Metres of tight clothes on trunk and thighs, and of hair above the brow and behind."""
-    worn = worn_on(body, settings.clothed)
-    return settings.clothes * worn + settings.hair * scalp(body, settings.hairline)
+    covered = cover_of(body, settings.clothed)
+    return settings.clothes * covered + settings.hair * scalp(body, settings.hairline)
 
 
-def worn_on(body: BodyModel, joints: Sequence[str]) -> Float[np.ndarray, " V"]:
+def cover_of(body: BodyModel, joints: Sequence[str]) -> Float[np.ndarray, " V"]:
     """How much of each vertex rides on joints, named without a side, that clothes cover; 0 of a
     body without a head.
     """
