@@ -1,5 +1,7 @@
 """``joints`` "auto": finger joints where markers sit on fingers, whatever the layout calls them."""
 
+import gc
+import weakref
 from dataclasses import replace
 from functools import cache
 
@@ -14,7 +16,7 @@ from habitus.export.trc import write_trc
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, shipped_layouts
 from habitus.io.layouts.toml import layout_text
-from habitus.jobs.bodies import with_fingers
+from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.subjects import Person
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
@@ -129,3 +131,14 @@ def test_an_own_layout_of_fourteen_markers_a_hand_is_followed_by_the_fingers(tmp
     arms = [body().joint_names.index(f"{s}_{part}") for s in SIDES for part in ("elbow", "wrist")]
     away = 1e3 * np.linalg.norm(fit.joints()[:, arms] - exact.joints[:, arms], axis=2)
     assert away.mean() < 6.0
+
+
+def test_bodies_in_use_are_shared_and_then_freed():
+    """Two jobs hold one body: each result that kept its own would take 240 MB."""
+    first = loaded("female", "smplh", 7.25)
+    assert loaded("female", "smplh", 7.25) is first
+    assert loaded("female", age=7.25) is not first and loaded("female", "smplh", 8.0) is not first
+    gone = weakref.ref(first)
+    del first
+    gc.collect()
+    assert gone() is None

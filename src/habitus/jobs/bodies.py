@@ -5,6 +5,7 @@ recorded in the capture, or estimated by a neutral fit.
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -35,6 +36,10 @@ knuckles, which the wrist moves too, have 0.7.
 """
 NEUTRAL = ("default", "neutral")
 """Bundled bodies that have a model of each sex."""
+_IN_USE: WeakValueDictionary[tuple[str, str | None, float | None], BodyModel] = (
+    WeakValueDictionary()
+)
+"""Bundled bodies that somebody holds, by name, joints and age; each result of a job holds one."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +62,20 @@ class PersonBody:
 
 
 def loaded(body: PathLike | BodyModel, joints: str = "auto", age: float | None = None) -> BodyModel:
-    """The body itself, or the one of this name or file, with these joints, at an age in years.
-    Raises HabitusError.
+    """The body itself, or the one of this name or file, with these joints, at an age in years. A
+    bundled body that is in use is shared, not loaded again: results hold their body. Raises
+    HabitusError.
     """
     joint_set = None if joints == "auto" else joints
-    if not isinstance(body, BodyModel):
-        model = load_body(os.fspath(body), joints=joint_set)
-    else:
-        model = body if joint_set is None else body.with_joints(joint_set)
-    return at_age(model, age)
+    if isinstance(body, BodyModel):
+        return at_age(body if joint_set is None else body.with_joints(joint_set), age)
+    key = os.fspath(body), joint_set, age
+    model = _IN_USE.get(key)
+    if model is None:
+        model = at_age(load_body(key[0], joints=joint_set), age)
+        if key[0] in SHIPPED:
+            _IN_USE[key] = model
+    return model
 
 
 def with_fingers(

@@ -62,7 +62,9 @@ def test_a_lost_limb_or_head_is_found(registrar, lost):
     truth = a_pose(registrar)
     begin = a_pose(registrar, **lost)
     cloud = seen(registrar, truth)
-    found = limbs_searched_again(registrar.guesser, begin, cloud, registrar.fitter.vertices(begin))
+    found = limbs_searched_again(
+        registrar.guesser(), begin, cloud, registrar.fitter.vertices(begin)
+    )
     assert found is not None and error(registrar, found, truth) < 0.2 * error(
         registrar, begin, truth
     )
@@ -75,7 +77,7 @@ def test_the_limbs_beside_the_lost_piece_are_tried(registrar):
     surface = registrar.fitter.vertices(state)
     for name in ("left_wrist", "right_ankle", "head"):
         joint = body.joint_names.index(name)
-        near = limbs_near(registrar.guesser, surface, np.asarray(joints[joint]))
+        near = limbs_near(registrar.guesser(), surface, np.asarray(joints[joint]))
         assert any(joint in limb.joints for limb in near) and len(near) <= 2
 
 
@@ -92,7 +94,7 @@ def test_a_piece_that_no_limb_explains_changes_nothing(registrar):
     parts = [(cloud.points, hand + 0.04 * ball + (0.12, 0.0, 0.0)), (cloud.normals, ball)]
     held = Cloud(*(np.concatenate(each) for each in parts))
     assert (
-        limbs_searched_again(registrar.guesser, state, held, registrar.fitter.vertices(state))
+        limbs_searched_again(registrar.guesser(), state, held, registrar.fitter.vertices(state))
         is None
     )
 
@@ -179,6 +181,6 @@ def test_somebody_found_facing_away_is_turned_about(registrar, yaw):
     truth = a_pose(registrar, **level)
     away = a_pose(registrar, **level | {"pelvis": (0.0, yaw + np.pi - 0.3, 0.0)})
     found = _about_face(
-        registrar.guesser, seen(registrar, truth), Candidate(away, np.eye(3), np.inf)
+        registrar.guesser(), seen(registrar, truth), Candidate(away, np.eye(3), np.inf)
     )
     assert error(registrar, found.state, truth) < 0.15 < error(registrar, away, truth)

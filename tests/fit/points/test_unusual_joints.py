@@ -37,7 +37,7 @@ def test_an_arm_held_to_the_scan_by_its_collar_is_found():
     wrong[names.index("left_shoulder")] = -2.2, -0.5, -1.9
     cloud = Cloud(true, vertex_normals(true, body.faces))
     before = BodyState(np.zeros(body.num_betas), wrong[None], np.zeros((1, 3)))
-    after = with_usual_joints(registrar.guesser, before, cloud)
+    after = with_usual_joints(registrar.guesser(), before, cloud)
     arm = np.isin(body.strongest_joint, [names.index(f"left_{j}") for j in ("shoulder", "elbow")])
     off = [
         np.linalg.norm(registrar.fitter.vertices(each) - true, axis=1)[arm].mean()
@@ -46,5 +46,5 @@ def test_an_arm_held_to_the_scan_by_its_collar_is_found():
     assert off[0] > 0.15 and off[1] < 0.02
     usual = prior.joint_deviations(after.pose[0])[~extremities(body)[1:]]
     assert usual.max() < registrar.settings.limbs.unusual
-    same = with_usual_joints(registrar.guesser, after, cloud)
+    same = with_usual_joints(registrar.guesser(), after, cloud)
     np.testing.assert_array_equal(same.pose, after.pose)

@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache, partial
 
 import numpy as np
 from jaxtyping import Float
@@ -86,12 +87,13 @@ class Registered:
 @dataclass(frozen=True, eq=False)
 class Registrar:
     """A body prepared for registration, and ``others`` of its topology that may explain scans
-    better; ``fingered`` gives the same body with finger joints, for the last stage.
+    better; ``guesser`` makes what searches a pose from nothing, when it is needed; ``fingered``
+    gives the same body with finger joints, for the last stage.
     """
 
     body: BodyModel
     fitter: ScanFitter
-    guesser: Guesser
+    guesser: Callable[[], Guesser]
     others: tuple["Registrar", ...] = ()
     fingered: Callable[[], "Registrar"] | None = None
 
@@ -102,7 +104,7 @@ class Registrar:
         fitter = ScanFitter(
             PointSolver.of(body), topology, prior.for_joints(body.joint_names), settings=settings
         )
-        return Registrar(body, fitter, Guesser.of(fitter))
+        return Registrar(body, fitter, cache(partial(Guesser.of, fitter)))
 
     @property
     def settings(self) -> ScanSettings:
@@ -219,7 +221,7 @@ class Registrar:
         axes = [up] if up != "auto" else _upright(scan)
         turns = np.array([up_rotation(axis) for axis in axes])
         rough = [] if previous is None else self._followed(previous, scan, turns[0])
-        rough = rough or find_start(self.guesser, scan.cloud, turns)
+        rough = rough or find_start(self.guesser(), scan.cloud, turns)
         tried: list[Candidate] = []
         for candidate in rough[: settings.search.candidates]:
             if tried and not self._differ(candidate, rough[0]):
@@ -227,16 +229,16 @@ class Registrar:
             cloud = turned(scan, candidate.turn)[1]
             state = self.fitter.fit(candidate.state, [cloud], settings.stages[:1])
             cloud = self.fitter.oriented(state, cloud)
-            state = self.guesser.scene(cloud).limbs(state)
-            state = self.fitter.fit(state, [cloud], settings.stages[1:])
-            tried.append(Candidate(state, candidate.turn, self.guesser.scene(cloud).misfit(state)))
+            scene = self.guesser().scene(cloud)
+            state = self.fitter.fit(scene.limbs(state), [cloud], settings.stages[1:])
+            tried.append(Candidate(state, candidate.turn, scene.misfit(state)))
         tried.sort(key=lambda candidate: candidate.misfit)
         best = tried[0]
         cloud = turned(scan, best.turn)[1]
         state = with_extremities(self.fitter, best.state, self.fitter.oriented(best.state, cloud))
         cloud = self.fitter.oriented(state, cloud)
         state = self.fitter.fit(state, [cloud], settings.stages[1:])
-        best = replace(best, state=with_usual_joints(self.guesser, state, cloud))
+        best = replace(best, state=with_usual_joints(self.guesser(), state, cloud))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         others = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
         return Start(best, axis, min(others, default=None))
@@ -345,7 +347,7 @@ class Registrar:
         lost = [self._lost(scan) for scan in scans]
         for _ in range(self.settings.limbs.rounds):
             searched = [
-                limbs_searched_again(self.guesser, scan.state, scan.cloud, scan.surface)
+                limbs_searched_again(self.guesser(), scan.state, scan.cloud, scan.surface)
                 if share > LIMITS.lost.doubtful
                 else None
                 for scan, share in zip(scans, lost, strict=True)
