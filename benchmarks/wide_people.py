@@ -2,8 +2,8 @@
 
     python benchmarks/wide_people.py [--scans 60] [--seed 1] [--rows FILE.jsonl] [--out FILE]
 
-People of `habitus_lab.population.wide`: shapes 1.5 times as wide as the survey's with heavy tails, 3
-to 10 mm of skin that no model knows, hair, fists and grips, hands on hips, folded, at the head.
+People of `habitus_lab.population.wide`: shapes of 100 betas, 1.5 times as wide as the survey's with
+heavy tails, 3 to 10 mm of skin that no model knows, hair, fists and grips, hands on hips, folded, at the head.
 Scans have 2,500 to 200,000 points of .5 mm noise, seen by 12 cameras, holes in 5 %. Errors (mm)
 are distances of vertices from where they truly are; ``seen`` counts those of which the scan tells.
 ``--rows``: a file of one line a person, written as people are measured; those in it are not measured
@@ -29,6 +29,7 @@ from habitus.body.model import BodyModel
 from habitus.fit.points.correspondences import hidden_vertices
 from habitus.fit.points.scans import Registrar
 from habitus.fit.verdict import PARTS, vertex_parts
+from habitus.io.models.bodies import SHIPPED_BETAS
 from habitus.jobs.register import made_ready
 from habitus_lab.population.scans import Scanner, scanned
 from habitus_lab.population.wide import WIDE_STANCES, wide_person
@@ -55,8 +56,8 @@ def registrar() -> Registrar:
 
 @cache
 def people_of(sex: str) -> BodyModel:
-    """The body that people are drawn from."""
-    return hb.load_body(sex, detail="full", joints="smplh")
+    """The body that people are drawn from, in all its betas."""
+    return hb.load_body(sex, detail="full", joints="smplh", num_betas=SHIPPED_BETAS)
 
 
 def row_of(k: int, seed: int) -> dict:

@@ -12,7 +12,7 @@ from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
 from habitus.fit.markers.result import MarkerFit
-from habitus.io.models.bodies import load_body, save_body
+from habitus.io.models.bodies import SHIPPED_BETAS, load_body, save_body
 from habitus.io.people import BodyShape, Mesh, open_person, read_motion, read_shape
 from habitus.jobs.estimates import body_from_measurements, save_estimate
 
@@ -86,8 +86,17 @@ def test_missing_betas_are_zero_and_further_ones_must_be(tmp_path):
     np.savez(tmp_path / "zeros.npz", betas=np.zeros(400), surface_model_type="default")
     assert len(read_shape(tmp_path / "zeros.npz").betas) == load_body("default").num_betas
     np.savez(tmp_path / "many.npz", betas=np.ones(400), surface_model_type="default")
-    with pytest.raises(HabitusError, match="400 betas; default has 24"):
+    with pytest.raises(HabitusError, match="400 betas; default has 100"):
         read_shape(tmp_path / "many.npz")
+
+
+def test_further_betas_are_of_the_same_body_with_all_of_them(tmp_path):
+    betas = np.append(np.zeros(30), 0.5)
+    np.savez(tmp_path / "further.npz", betas=betas, surface_model_type="female")
+    shape = read_shape(tmp_path / "further.npz")
+    assert shape.body.num_betas == len(shape.betas) == SHIPPED_BETAS
+    body = load_body("female", num_betas=31)
+    np.testing.assert_allclose(shape.rest_vertices(), body.rest_vertices(betas), atol=1e-12)
 
 
 def test_betas_that_describe_no_body_are_refused(tmp_path):

@@ -41,7 +41,7 @@ from habitus.io.marker_fit_arrays import (
 )
 from habitus.io.meshes import ENDINGS as MESH_ENDINGS
 from habitus.io.meshes import read_mesh
-from habitus.io.models.bodies import SHIPPED, load_body
+from habitus.io.models.bodies import SHIPPED, SHIPPED_BETAS, load_body
 from habitus.io.motions.open import ENDINGS as RIG_ENDINGS
 from habitus.io.motions.open import read_foreign_motion
 from habitus.mesh.normals import vertex_normals
@@ -315,13 +315,19 @@ def _model(file: _PersonFile, body: BodyLike) -> BodyModel:
 
 
 def _loaded(file: _PersonFile, name: str | os.PathLike[str]) -> BodyModel:
-    """A body by name or file; a shipped one with the joints that the poses have."""
+    """A body by name or file; a shipped one with the joints that the poses have, and with all its
+    betas where the person has further ones.
+    """
     poses = file.arrays.get("poses")
     joints = None
     if str(name) in SHIPPED and poses is not None and "body_betas" not in file.arrays:
         layout = _LAYOUTS.get(poses.shape[-1])
         joints = None if layout is None else layout.name
-    return load_body(os.fspath(name), joints=joints)
+    model = load_body(os.fspath(name), joints=joints)
+    betas = np.ravel(file.arrays.get("body_betas", file.arrays.get("betas", ())))
+    if str(name) in SHIPPED and betas[model.num_betas :].any():
+        return load_body(os.fspath(name), joints=joints, num_betas=SHIPPED_BETAS)
+    return model
 
 
 def _betas(file: _PersonFile, body: BodyModel) -> Float[np.ndarray, " B"]:

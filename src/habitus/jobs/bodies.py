@@ -36,10 +36,10 @@ knuckles, which the wrist moves too, have 0.7.
 """
 NEUTRAL = ("default", "neutral")
 """Bundled bodies that have a model of each sex."""
-_IN_USE: WeakValueDictionary[tuple[str, str | None, float | None], BodyModel] = (
+_IN_USE: WeakValueDictionary[tuple[str, str | None, float | None, int | None], BodyModel] = (
     WeakValueDictionary()
 )
-"""Bundled bodies that somebody holds, by name, joints and age; each result of a job holds one."""
+"""Bundled bodies in use, by name, joints, age and betas; each result of a job holds one."""
 
 
 @dataclass(frozen=True)
@@ -61,18 +61,23 @@ class PersonBody:
         )
 
 
-def loaded(body: PathLike | BodyModel, joints: str = "auto", age: float | None = None) -> BodyModel:
-    """The body itself, or the one of this name or file, with these joints, at an age in years. A
-    bundled body that is in use is shared, not loaded again: results hold their body. Raises
-    HabitusError.
+def loaded(
+    body: PathLike | BodyModel,
+    joints: str = "auto",
+    age: float | None = None,
+    num_betas: int | None = None,
+) -> BodyModel:
+    """The body itself, or the one of this name or file, with these joints, at an age in years;
+    ``num_betas`` as in `load_body`. A bundled body that is in use is shared, not loaded again:
+    results hold their body. Raises HabitusError.
     """
     joint_set = None if joints == "auto" else joints
     if isinstance(body, BodyModel):
         return at_age(body if joint_set is None else body.with_joints(joint_set), age)
-    key = os.fspath(body), joint_set, age
+    key = os.fspath(body), joint_set, age, num_betas
     model = _IN_USE.get(key)
     if model is None:
-        model = at_age(load_body(key[0], joints=joint_set), age)
+        model = at_age(load_body(key[0], joints=joint_set, num_betas=num_betas), age)
         if key[0] in SHIPPED:
             _IN_USE[key] = model
     return model

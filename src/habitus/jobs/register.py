@@ -16,7 +16,7 @@ from habitus.fit.points.scan_colours import check_colours, with_colours
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import CLOTHES, SCANS, ScanSettings
-from habitus.io.models.bodies import SHIPPED, save_body
+from habitus.io.models.bodies import SHIPPED, SHIPPED_BETAS, save_body
 from habitus.io.names import file_name, one_file
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
@@ -133,7 +133,7 @@ def _registered(
     """The fits of all scans, and the body that was trained on them (None: none was)."""
     asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
     if options.coregister:
-        one_body = replace(registrar, others=(), fingered=None)
+        one_body = replace(registrar, others=(), detailed=None)
         done = coregistered(one_body, people, asked, progress)
         return [fit for each in done.fits.values() for fit in each], done.body
     run = _in_time if options.sequence else _together
@@ -160,7 +160,7 @@ def made_ready(
     settings: ScanSettings = SCANS,
 ) -> Registrar:
     """A body prepared for registration; of "default" women's and men's, too, whichever explains
-    scans best. Bodies by name end with finger joints.
+    scans best. Bodies by name end with finger joints and all their betas.
     """
 
     def ready(one: BodyModel | PathLike) -> Registrar:
@@ -170,11 +170,11 @@ def made_ready(
             return registrar
 
         @cache
-        def fingered() -> Registrar:
-            model = loaded(one, "smplh", age)
+        def detailed() -> Registrar:
+            model = loaded(one, "smplh", age, SHIPPED_BETAS)
             return Registrar.of(model, prior_of(model), settings)
 
-        return replace(registrar, fingered=fingered)
+        return replace(registrar, detailed=detailed)
 
     others = SEXES if isinstance(body, str) and body == "default" else ()
     return replace(ready(body), others=tuple(map(ready, others)))

@@ -77,7 +77,7 @@ def test_the_skin_under_loose_clothes_is_estimated_and_doubtful():
     start = BodyState(np.zeros(body.num_betas), pose[None], np.zeros((1, 3)))
     bare, dressed = (
         replace(
-            made_ready("male", settings=replace(SCANS, clothes=CLOTHES[clothes])), fingered=None
+            made_ready("male", settings=replace(SCANS, clothes=CLOTHES[clothes])), detailed=None
         ).register([scan], up="+y", unit="m", previous=start)[0]
         for clothes in ("none", "loose")
     )

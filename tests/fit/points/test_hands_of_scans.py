@@ -11,9 +11,9 @@ from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
 from habitus.fit.points.limbs import with_hands
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_states import with_joints_of
+from habitus.fit.points.scan_states import extended
 from habitus.fit.points.scans import Registrar
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import SHIPPED_BETAS, load_body
 from habitus.jobs.register import made_ready
 from habitus.mesh.normals import vertex_normals
 
@@ -81,11 +81,13 @@ def test_a_body_without_fingers_is_left_alone():
     assert with_hands(fitter, state, _scan(_state("fist"))) is state
 
 
-def test_more_joints_keep_the_pose_and_begin_at_the_prior():
+def test_more_joints_begin_at_the_prior_and_further_betas_at_zero():
     small, large = _registrar("smpl"), _registrar("smplh")
+    few = small.body.with_betas(20)
     pose = np.random.default_rng(1).normal(size=(2, 24, 3))
-    state = BodyState(np.zeros(small.body.num_betas), pose, np.zeros((2, 3)))
-    found = with_joints_of(small.body, large.body, large.fitter.prior, state)
+    state = BodyState(np.ones(20), pose, np.zeros((2, 3)))
+    found = extended(few, large.body, large.fitter.prior, state)
+    assert found.betas.tolist() == [1.0] * 20 + [0.0] * (large.body.num_betas - 20)
     names = large.body.joint_names
     for k, name in enumerate(small.body.joint_names):
         if name in names:
@@ -95,8 +97,9 @@ def test_more_joints_keep_the_pose_and_begin_at_the_prior():
     np.testing.assert_array_equal(found.pose[:, thumb], [mean, mean])
 
 
-def test_bodies_by_name_end_with_fingers_and_are_found_again():
+def test_bodies_by_name_end_with_fingers_and_all_betas_and_are_found_again():
     registrar = made_ready("female")
-    assert not has_hands(registrar.body) and has_hands(registrar.fingered().body)
-    assert registrar.fingered() is registrar.fingered()
-    assert made_ready(load_body("female")).fingered is None
+    assert not has_hands(registrar.body) and has_hands(registrar.detailed().body)
+    assert registrar.detailed().body.num_betas == SHIPPED_BETAS > registrar.body.num_betas
+    assert registrar.detailed() is registrar.detailed()
+    assert made_ready(load_body("female")).detailed is None

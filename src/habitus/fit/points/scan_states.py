@@ -42,13 +42,14 @@ def carried(
     return BodyState(betas, state.pose, state.trans + first - second + moved)
 
 
-def with_joints_of(
-    body: BodyModel, other: BodyModel, prior: PosePrior, state: BodyState
-) -> BodyState:
-    """A state of a body as one of another with more joints, these at its prior's mean."""
+def extended(body: BodyModel, other: BodyModel, prior: PosePrior, state: BodyState) -> BodyState:
+    """A state of a body as one of the same with more joints, these at the mean of its prior, and
+    more betas, these 0.
+    """
     mean = np.concatenate([np.zeros((1, 3)), prior.mean.reshape(-1, 3)])
     pose = np.tile(mean, (len(state.pose), 1, 1))
     for k, name in enumerate(other.joint_names):
         if name in body.joint_names:
             pose[:, k] = state.pose[:, body.joint_names.index(name)]
-    return replace(state, pose=pose)
+    further = np.zeros(other.num_betas - len(state.betas))
+    return replace(state, betas=np.append(state.betas, further), pose=pose)

@@ -45,7 +45,7 @@ from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
 from habitus.fit.points.scan_result import LIMITS, ScanFit, at_rest, limbs_compared
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
-from habitus.fit.points.scan_states import carried, joined, with_joints_of
+from habitus.fit.points.scan_states import carried, extended, joined
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.fit.verdict import HANDS, vertex_parts
 from habitus.mesh.normals import vertex_normals
@@ -87,15 +87,15 @@ class Registered:
 @dataclass(frozen=True, eq=False)
 class Registrar:
     """A body prepared for registration, and ``others`` of its topology that may explain scans
-    better; ``guesser`` makes what searches a pose from nothing, when it is needed; ``fingered``
-    gives the same body with finger joints, for the last stage.
+    better; ``guesser`` makes what searches a pose from nothing, when it is needed; ``detailed``
+    gives the same body with finger joints and all its betas, for the last stage.
     """
 
     body: BodyModel
     fitter: ScanFitter
     guesser: Callable[[], Guesser]
     others: tuple["Registrar", ...] = ()
-    fingered: Callable[[], "Registrar"] | None = None
+    detailed: Callable[[], "Registrar"] | None = None
 
     @staticmethod
     def of(body: BodyModel, prior: PosePrior, settings: ScanSettings = SCANS) -> "Registrar":
@@ -115,9 +115,9 @@ class Registrar:
         """With the body of a fit alone."""
         for registrar in (self, *self.others):
             if registrar.body is fit.body:
-                return replace(registrar, others=(), fingered=None)
-            if registrar.fingered is not None and registrar.body.name == fit.body.name:
-                return registrar.fingered()
+                return replace(registrar, others=(), detailed=None)
+            if registrar.detailed is not None and registrar.body.name == fit.body.name:
+                return registrar.detailed()
         return self
 
     def after(self, fit: ScanFit) -> "Registrar":
@@ -163,15 +163,8 @@ class Registrar:
         alike = [k for k in people if k not in unlike]
         fits: dict[int, ScanFit] = {}
         for group in filter(None, [alike, *([k] for k in unlike)]):
-            progress("model", 0.5)
-            with clock("model"):
-                best, fitted = self._fitted_best([started[k] for k in group])
-            progress("limbs", 0.8)
-            with clock("limbs"):
-                fitted = best._limbs_searched(fitted)
-            found = limbs_compared([best._result(scan) for scan in fitted])
-            for k, fit in zip(group, found, strict=True):
-                fits[k] = replace(fit, notes=_notes(started[k], True, self, best))
+            together = self._fits_of([started[k] for k in group], clock, progress)
+            fits.update(zip(group, together, strict=True))
         if unlike:
             shapes = [fits[k].body.rest_vertices(fits[k].betas) for k in people]
             for k, off in zip(people, self._unlike(shapes), strict=True):
@@ -183,6 +176,22 @@ class Registrar:
         return [
             replace(fits[k], stage_seconds=seconds, notes=(*scan.scan.notes, *fits[k].notes))
             for k, scan in enumerate(started)
+        ]
+
+    def _fits_of(
+        self, scans: Sequence[Registered], clock: "Clock", progress: Progress
+    ) -> list[ScanFit]:
+        """Scans of one shape fitted together."""
+        progress("model", 0.5)
+        with clock("model"):
+            best, fitted = self._fitted_best(scans)
+        progress("limbs", 0.8)
+        with clock("limbs"):
+            fitted = best._limbs_searched(fitted)
+        fits = limbs_compared([best._result(scan) for scan in fitted])
+        return [
+            replace(fit, notes=_notes(scan, True, self, best))
+            for scan, fit in zip(scans, fits, strict=True)
         ]
 
     def _unlike(self, shapes: Sequence[Float[np.ndarray, "V 3"]]) -> list[float]:
@@ -264,7 +273,7 @@ class Registrar:
         return float(distance) > self.settings.search.distinct
 
     def _fitted_best(self, scans: Sequence[Registered]) -> tuple["Registrar", list[Registered]]:
-        """All scans together, with the body that explains them best, and with its fingers.
+        """All scans together, with the body that explains them best, in full detail.
 
         Which body that is shows before the last and longest stage, which it alone is given.
         """
@@ -272,10 +281,10 @@ class Registrar:
         if len(stages) > 1:
             best, state = self._best_body(scans)
             begin = [replace(scan, state=state[k : k + 1]) for k, scan in enumerate(scans)]
-        if best.fingered is not None:
-            body, best = best.body, best.fingered()
+        if best.detailed is not None:
+            body, best = best.body, best.detailed()
             begin = [
-                replace(scan, state=with_joints_of(body, best.body, best.fitter.prior, scan.state))
+                replace(scan, state=extended(body, best.body, best.fitter.prior, scan.state))
                 for scan in begin
             ]
         if self.fitter.previous is None:

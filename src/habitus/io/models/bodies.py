@@ -67,6 +67,8 @@ _EXTRAS = (
 )
 SHIPPED = {"default": "neutral", "neutral": "neutral", "female": "female", "male": "male"}
 """The bodies that come along, by the names they are asked for."""
+SHIPPED_BETAS = 100
+"""All shape directions of these."""
 
 
 def load_body(
