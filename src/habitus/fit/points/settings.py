@@ -385,7 +385,7 @@ class ScanSettings:
         ScanStage(3, points=8000, scale=0.05, noise=0.01),
         ScanStage(2, points=16_000, scale=0.03, noise=0.004),
         ScanStage(
-            3,
+            6,
             points=40_000,
             scale=0.02,
             noise=0.0025,
