@@ -340,7 +340,9 @@ class Registrar:
         surface = free_surface(topology, model, few, settings, start=start)
         surface = self._under_cloth(surface, start)
         surface = uncut(topology, model, surface, settings)
-        if np.percentile(self.fitter.distances(surface, cloud), 95) > settings.stretched:
+        distances = self.fitter.distances(surface, cloud)
+        lost, _ = lost_piece(cloud.points, distances, self.settings.limbs)
+        if np.percentile(distances, 95) > settings.stretched or lost > settings.stretched_share:
             surface = stretched_surface(topology, surface, few, settings)
         return self._under_cloth(surface, start)
 

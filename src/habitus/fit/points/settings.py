@@ -252,7 +252,10 @@ class SurfaceSettings:
         SurfaceStage(0.003, 0.01),
     )
     stretched: float = 0.0018
-    """Distance of a twentieth of the scan's points that calls for offsets in all directions."""
+    """Distance of a twentieth of the scan's points that calls for offsets in all directions,"""
+    stretched_share: float = 0.0025
+    """and share of the scan that lies together off the surface, that does: a cleft, genitals,
+    fingers; half of what is a doubt."""
     off_distance: float = 0.003
     """Median distance from the surface, of the scan's points around a vertex, up to which it is
     held then; from twice that on it is free."""
