@@ -150,7 +150,7 @@ def test_scans_of_people_are_registered_again_with_the_body_that_they_train():
                 found.append(np.linalg.norm(fit.model_vertices - true, axis=1).mean())
         return float(np.mean(found))
 
-    assert off_model(done.fits) < 0.95 * off_model(done.before)
+    assert off_model(done.fits) < 0.97 * off_model(done.before)
     assert all(fit.body is done.body for each in done.fits.values() for fit in each)
     np.testing.assert_array_equal(done.body.skinning_weights, body.skinning_weights)
     with pytest.raises(HabitusError, match="1 person; expected two people or more"):
