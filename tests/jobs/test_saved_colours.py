@@ -12,6 +12,7 @@ import habitus
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_result import ScanColours, ScanFit
 from habitus.fit.points.skin_grid import SkinGrid
+from habitus.io.people import read_shape
 from habitus.io.scans import read_scan
 from habitus.jobs.register import ScanResult
 from habitus.mesh.normals import vertex_normals
@@ -89,3 +90,11 @@ def test_natural_and_painted_skin_have_as_much_colour_as_they_should():
     assert ((plain > 0) & (plain < 1)).all() and painted.std() > plain.std()
     again = PaintedSkin.of(body, np.random.default_rng(0)).albedo(corners, share)
     np.testing.assert_array_equal(plain, again)
+
+
+def test_the_person_of_a_saved_scan_has_its_surface_and_not_the_models(fit, tmp_path):
+    normals = vertex_normals(fit.rest_vertices, fit.body.faces)
+    outwards = replace(fit, rest_vertices=fit.rest_vertices + 0.01 * normals)
+    ScanResult.of(outwards).save(tmp_path / "anna")
+    shape = read_shape(tmp_path / "anna", fit.body)
+    np.testing.assert_allclose(shape.rest_vertices(), outwards.rest_vertices, atol=1e-6)

@@ -385,6 +385,7 @@ def _scan_arrays(fit: "ScanFit") -> dict[str, np.ndarray]:
     return motion_arrays(motion) | {
         "vertices": fit.vertices,
         "vertex_weights": fit.weights,
+        "skin_offset": fit.skin_offset.astype(np.float32),
         "to_body": fit.to_body,
     }
 

@@ -396,6 +396,12 @@ class ScanFit:
         return self.body.measure_rest(self.rest_vertices)
 
     @cached_property
+    def skin_offset(self) -> Float[np.ndarray, " V"]:
+        """How far (m) the surface at rest lies outwards of the model, along the model's normals."""
+        model = np.asarray(self.body.rest_vertices(self.betas))
+        return ((self.rest_vertices - model) * vertex_normals(model, self.body.faces)).sum(1)
+
+    @cached_property
     def verdict(self) -> Verdict:
         """What the registration is worth: ``level`` (good, doubtful or failed) and ``reasons``, a
         sentence each.
@@ -413,10 +419,8 @@ def limbs_compared(fits: Sequence[ScanFit]) -> list[ScanFit]:
     people = [fit for fit in fits if fit.person]
     if len(people) < 3:
         return list(fits)
-    body, betas = people[0].body, people[0].betas
-    model = np.asarray(body.rest_vertices(betas))
-    normals = vertex_normals(model, body.faces)
-    offsets = np.stack([((fit.rest_vertices - model) * normals).sum(1) for fit in people])
+    body = people[0].body
+    offsets = np.stack([fit.skin_offset for fit in people])
     owner = np.asarray(body.skinning_weights).argmax(1)
     found = []
     for fit in fits:
