@@ -112,7 +112,7 @@ def test_files_that_hold_no_person(tmp_path):
     with pytest.raises(HabitusError, match="belong to the body 'smplh'; give"):
         measure_file(tmp_path / "smplh.npz")
     np.savez(tmp_path / "many.npz", betas=np.ones(400), surface_model_type="default")
-    with pytest.raises(HabitusError, match="400 betas; default has 24"):
+    with pytest.raises(HabitusError, match="400 betas; default has 100"):
         measure_file(tmp_path / "many.npz")
     np.savez(tmp_path / "crowd.npz", betas=np.zeros((3, 4)), surface_model_type="default")
     with pytest.raises(HabitusError, match="of one person"):
