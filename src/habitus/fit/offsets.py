@@ -20,6 +20,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from habitus.body.jacobians import SurfaceJacobian
 from habitus.body.model import BodyModel
+from habitus.fit.offset_kernels import substitute_forward
 from habitus.mesh.laplacian import cotangent_laplacian
 from habitus.mesh.normals import vertex_normals
 
@@ -108,3 +109,16 @@ def factored(matrix: csc_array) -> SuperLU:
     return splu(
         matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
+
+
+def inverse_product(factor: SuperLU, rows: Float[np.ndarray, "V n"]) -> Float[np.ndarray, "n n"]:
+    """R^T A^-1 R of a symmetric matrix A (V, V) with the factors of `factored`.
+
+    With A = L D L^T up to the order of its rows it is (L^-1 R)^T D^-1 (L^-1 R): half of a solve,
+    for all columns of R at once.
+    """
+    half = np.empty_like(rows, order="C")
+    half[factor.perm_r] = rows
+    lower = factor.L
+    substitute_forward(lower.indptr, lower.indices, lower.data, half)
+    return half.T @ (half / factor.U.diagonal()[:, None])

@@ -49,6 +49,7 @@ FILES = (
     "fit/cameras/sequence_kernels.py",
     "fit/labels/kernels.py",
     "fit/retarget/robot_kernels.py",
+    "fit/offset_kernels.py",
     "fit/points/correspondence_kernels.py",
     "render/kernels/textures.py",
     "learn/posing/kernels.py",

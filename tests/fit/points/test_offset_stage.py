@@ -10,7 +10,13 @@ from habitus import load_body
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
-from habitus.fit.offsets import field_precision, motion_along, offset_spread
+from habitus.fit.offsets import (
+    factored,
+    field_precision,
+    inverse_product,
+    motion_along,
+    offset_spread,
+)
 from habitus.fit.points.correspondences import Topology, find_correspondences
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import OffsetEquations, PreviousFrame, ScanFitter
@@ -63,6 +69,14 @@ def test_a_field_has_the_spread_and_the_range_it_is_asked_for(smoothness):
         alike[apart < 0.05].min() > 0.8
         and 0.05 < alike[(apart > 0.28) & (apart < 0.32)].mean() < 0.25
     )
+
+
+def test_the_inverse_product_is_that_of_a_dense_inverse():
+    ball = trimesh.creation.icosphere(2, 0.4)
+    precision = field_precision(ball.faces, np.asarray(ball.vertices), np.full(162, 0.1), 0.3, 2)
+    rows = np.random.default_rng(3).normal(size=(162, 7))
+    expected = rows.T @ np.linalg.solve(precision.toarray(), rows)
+    np.testing.assert_allclose(inverse_product(factored(precision), rows), expected, rtol=1e-9)
 
 
 def test_costs_and_derivatives_are_those_of_the_best_offset(fitter):

@@ -47,6 +47,7 @@ from habitus.fit.offsets import (
     along_normals,
     factored,
     field_precision,
+    inverse_product,
     motion_along,
     offset_spread,
 )
@@ -394,9 +395,9 @@ class OffsetEquations:
         model = np.asarray(jacobian.surface.vertices)
         along = motion_along(self.normal, jacobian)
         pull = self.pull - self.lumped @ self.displacement(model)
-        right = np.column_stack([self.lumped @ along, pull])
-        left = right - self.lumped @ self.factor.solve(right)
-        return -along.T @ left[:, -1], along.T @ left[:, :-1]
+        lumped = self.lumped @ along
+        product = inverse_product(self.factor, np.column_stack([lumped, pull]))
+        return product[:-1, -1] - along.T @ pull, along.T @ lumped - product[:-1, :-1]
 
 
 def offset_term(scans: Sequence[OffsetEquations]) -> Term:
