@@ -177,6 +177,16 @@ def take_along(array: Array, index: Array, axis: int) -> Array:
     return array.gather(axis, index) if is_tensor(array) else np.take_along_axis(array, index, axis)
 
 
+def add_slices(array: Array, index: Sequence[int], values: Array, axis: int) -> Array:
+    """The array with ``values`` added to the slices of an axis with these different numbers."""
+    if is_tensor(array):
+        where = namespace(array).as_tensor(index, device=array.device)
+        return array.index_add(axis, where, values)
+    total = np.moveaxis(array.copy(order="K"), axis, 0)
+    total[list(index)] += np.moveaxis(values, axis, 0)
+    return np.moveaxis(total, 0, axis)
+
+
 def cross(a: Array, b: Array, axis: int = -1) -> Array:
     """The cross product along an axis of length 3; the other axes broadcast."""
     if is_tensor(a) or is_tensor(b):

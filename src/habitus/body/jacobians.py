@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.arrays import (
+    add_slices,
     broadcast_shapes,
     cast,
     constant,
@@ -132,7 +133,8 @@ def surface_jacobian(
     moved, turn, by_pose, by_shifts = move(prepared, skeleton, rest)
     if prepared.rows.posedirs is not None:
         offsets = flatten(_offsets_by_pose(prepared, skeleton, angles), -2)
-        by_pose = by_pose + unflatten(turn @ offsets, -1, (-1, 3))
+        offsets = unflatten(turn @ offsets, -1, (-1, 3))
+        by_pose = add_slices(by_pose, body.drivers, offsets, -2)
     joints = skeleton.world[..., 3]
     arms = skeleton.below.T[..., None] * (joints[..., :, None, :] - joints[..., None, :, :])
     by_joints = kind.xp.moveaxis(-cross_matrix(arms) @ skeleton.turns[..., None, :, :, :], -3, -2)
@@ -247,10 +249,8 @@ def _offsets_by_betas(
 
 def _offsets_by_pose(
     prepared: PreparedBody, skeleton: PosedSkeleton, pose: Float[Array, "*batch J 3"]
-) -> Float[Array, "*batch N 3 J 3"]:
-    """Derivative of the pose blend shapes' offsets: slope times J_l, zero but for the joints that
-    drive.
-    """
+) -> Float[Array, "*batch N 3 P 3"]:
+    """Derivative of the pose blend shapes' offsets by the joints that drive: slope times J_l."""
     xp = namespace(pose)
     features = prepared.model.features
     drivers = prepared.model.drivers
@@ -263,9 +263,7 @@ def _offsets_by_pose(
     if (hinges := prepared.model.hinges) is not None:
         feature = features.of_pose(pose, skeleton.rotations, drivers)
         offsets = offsets + _folds_by_pose(prepared, hinges, feature, change)
-    columns = {joint: offsets[..., k, :] for k, joint in enumerate(drivers)}
-    none = xp.zeros_like(skeleton.rotations[..., None, 0, :, :]) + xp.zeros_like(offsets[..., 0, :])
-    return xp.stack([columns.get(joint, none) for joint in range(pose.shape[-2])], -2)
+    return offsets
 
 
 _Moved = tuple[
@@ -283,12 +281,14 @@ def _linear(
     below = skeleton.below[:, index].swapaxes(0, 1)  # (N, J, K)
     share = (below @ value[..., None])[..., 0]
     lever = below @ parts - share[..., None] * skeleton.world[..., None, :, :, 3]
-    by_turns = -cross_matrix(lever) @ skeleton.turns[..., None, :, :, :]
+    # a cross product with each column of a rotation, as one product of matrices a joint
+    units = -cross_matrix(eye(3, lever)) @ skeleton.turns[..., None, :, :]
+    by_turns = unflatten(lever.swapaxes(-3, -2) @ flatten(units, -2), -1, (3, 3))
     shifts = prepared.rows.influences.dense.T @ flatten(skeleton.shifts_betas, -2)
     return (
         parts.sum(-2),
         motions[..., :3].sum(-3),
-        namespace(by_turns).moveaxis(by_turns, -3, -2),
+        namespace(by_turns).moveaxis(by_turns, -4, -2),
         unflatten(shifts, -1, (3, -1)),
     )
 
