@@ -31,6 +31,7 @@ from habitus.fit.points.scans import Registrar
 from habitus.fit.verdict import PARTS, vertex_parts
 from habitus.io.models.bodies import SHIPPED_BETAS
 from habitus.jobs.register import made_ready
+from habitus.kernels.threads import one_blas_thread
 from habitus_lab.population.scans import Scanner, scanned
 from habitus_lab.population.wide import WIDE_STANCES, wide_person
 
@@ -71,7 +72,8 @@ def row_of(k: int, seed: int) -> dict:
     points = int(np.exp(rng.uniform(*np.log(POINTS))))
     scan = scanned(person.vertices, faces, Scanner(points, holes=0.05, sides=SIDES), rng, str(k))
     began, busy = time.perf_counter(), time.process_time()
-    (fit,) = registrar().register([scan])
+    with one_blas_thread():
+        (fit,) = registrar().register([scan])
     seconds, busy = time.perf_counter() - began, time.process_time() - busy
     true = person.vertices @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
     body = fit.body

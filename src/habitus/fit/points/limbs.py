@@ -25,6 +25,7 @@ from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.scan_start import Guesser, Limb
 from habitus.fit.points.settings import ScanStage
 from habitus.fit.verdict import FEET, HANDS, part_of_joint
+from habitus.kernels.threads import map_on_threads
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 _TURNS = np.array(
@@ -115,7 +116,7 @@ def with_hands(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState:
         def misfit(one: BodyState, hand: Cloud, rows: np.ndarray = rows) -> float:
             return _misfit(fitter, one, hand) + _outside(fitter, one, hand, rows)
 
-        first = [misfit(start, near[0]) for _, start in tried]
+        first = map_on_threads(lambda one, near=near: misfit(one[1], near[0]), tried)
         kept = [tried[k] for k in np.argsort(first)[: fitter.settings.limbs.hands_refined]]
         state = _best(kept, near, fitter.settings.limbs.hand_stages, misfit)
     return state
@@ -151,10 +152,18 @@ def _best(
     """
     hand, few = near
     first, *rest = stages
-    tried = [(held, held.fit(start, [few], [first])) for held, start in starts]
-    tried = sorted(tried, key=lambda one: misfit(one[1], hand))[:2]
-    ended = (held.fit(one, [few], rest) for held, one in tried)
-    return min(ended, key=lambda one: misfit(one, hand))
+
+    def ran(
+        start: tuple[ScanFitter, BodyState], some: Sequence[ScanStage]
+    ) -> tuple[float, ScanFitter, BodyState]:
+        held, state = start
+        state = held.fit(state, [few], some)
+        return misfit(state, hand), held, state
+
+    tried = map_on_threads(lambda start: ran(start, [first]), starts)
+    tried.sort(key=lambda one: one[0])
+    ended = map_on_threads(lambda one: ran(one[1:], rest), tried[:2])
+    return min(ended, key=lambda one: one[0])[2]
 
 
 def _hand(fitter: ScanFitter, joint: int) -> np.ndarray:

@@ -14,6 +14,7 @@ the pose prior.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -29,6 +30,7 @@ from habitus.fit.points.correspondences import NORMAL_DISTANCE, with_normals
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.settings import SCANS, ScanStage, SearchSettings
+from habitus.kernels.threads import map_on_threads
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SCAN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
@@ -257,10 +259,10 @@ def find_start(
 def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
     """The same with ``wide`` times as many candidates."""
     settings = guesser.settings
-    best = [
-        _with_limbs(guesser, cloud, candidate) for candidate in _scored(guesser, cloud, turns, wide)
-    ]
-    rough = [_roughly(guesser, cloud, candidate) for candidate in best]
+    best = map_on_threads(
+        partial(_with_limbs, guesser, cloud), _scored(guesser, cloud, turns, wide)
+    )
+    rough = map_on_threads(partial(_roughly, guesser, cloud), best)
     rough = _distinct(sorted(rough, key=lambda candidate: candidate.misfit))[: settings.refined]
     rough = [
         candidate
@@ -268,7 +270,7 @@ def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> lis
         if candidate.misfit < settings.max_misfit_ratio * rough[0].misfit
     ]
     return sorted(
-        (_finely(guesser, cloud, candidate) for candidate in rough),
+        map_on_threads(partial(_finely, guesser, cloud), rough),
         key=lambda candidate: candidate.misfit,
     )
 

@@ -48,6 +48,7 @@ from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import carried, extended, joined
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.fit.verdict import HANDS, vertex_parts
+from habitus.kernels.threads import map_on_threads
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
 from habitus.rotations import UP_AXES, up_rotation
@@ -231,16 +232,18 @@ class Registrar:
         turns = np.array([up_rotation(axis) for axis in axes])
         rough = [] if previous is None else self._followed(previous, scan, turns[0])
         rough = rough or find_start(self.guesser(), scan.cloud, turns)
-        tried: list[Candidate] = []
-        for candidate in rough[: settings.search.candidates]:
-            if tried and not self._differ(candidate, rough[0]):
-                continue
+
+        def fitted(candidate: Candidate) -> Candidate:
             cloud = turned(scan, candidate.turn)[1]
             state = self.fitter.fit(candidate.state, [cloud], settings.stages[:1])
             cloud = self.fitter.oriented(state, cloud)
             scene = self.guesser().scene(cloud)
             state = self.fitter.fit(scene.limbs(state), [cloud], settings.stages[1:])
-            tried.append(Candidate(state, candidate.turn, scene.misfit(state)))
+            return Candidate(state, candidate.turn, scene.misfit(state))
+
+        first, *others = rough[: settings.search.candidates]
+        others = [candidate for candidate in others if self._differ(candidate, first)]
+        tried = map_on_threads(fitted, [first, *others])
         tried.sort(key=lambda candidate: candidate.misfit)
         best = tried[0]
         cloud = turned(scan, best.turn)[1]
@@ -277,39 +280,60 @@ class Registrar:
 
         Which body that is shows before the last and longest stage, which it alone is given.
         """
-        best, begin, stages = self, list(scans), self.settings.offset_stages
-        if len(stages) > 1:
-            best, state = self._best_body(scans)
-            begin = [replace(scan, state=state[k : k + 1]) for k, scan in enumerate(scans)]
-        if best.detailed is not None:
-            body, best = best.body, best.detailed()
-            begin = [
-                replace(scan, state=extended(body, best.body, best.fitter.prior, scan.state))
-                for scan in begin
-            ]
+        best, state = self._best_body(
+            [scan.cloud for scan in scans], joined([scan.state for scan in scans])
+        )
+        states = [state[k : k + 1] for k in range(len(scans))]
         if self.fitter.previous is None:
-            begin = [
-                replace(scan, state=with_hands(best.fitter, scan.state, scan.cloud))
-                for scan in begin
+            states = [
+                with_hands(best.fitter, each, scan.cloud)
+                for each, scan in zip(states, scans, strict=True)
             ]
-        return best, best._fitted(begin, stages[-1:])
+        begin = [replace(scan, state=each) for scan, each in zip(scans, states, strict=True)]
+        return best, best._fitted(begin, self.settings.offset_stages[-1:])
 
-    def _best_body(self, scans: Sequence[Registered]) -> tuple["Registrar", BodyState]:
-        """The body of the least energy after all stages but the last, and its state."""
-        clouds = [scan.cloud for scan in scans]
-        first = joined([scan.state for scan in scans])
-        tried = []
-        for registrar in (self, *self.others):
-            state = (
-                first
-                if registrar is self
-                else carried(self.body, registrar.body, first, self.settings)
-            )
-            stages = self.settings.offset_stages[:-1]
+    def _best_body(
+        self, clouds: Sequence[Cloud], start: BodyState
+    ) -> tuple["Registrar", BodyState]:
+        """The body that explains the scans best, in full detail, and its state after all stages but
+        the last.
+
+        The two bodies of least energy then take the first steps of the last stage, where skin
+        offsets are smoothest, and the one of less cost goes on: before them the neutral body, which
+        has women's and men's shapes among its own, explains some scans of either better than their
+        own body does, though it carries skin 1 to 1.5 mm further astray.
+        """
+        *stages, last = self.settings.offset_stages
+        if not stages:
+            return self._in_detail(start)
+
+        def fitted(registrar: Registrar) -> tuple[float, Registrar, BodyState]:
+            state = start
+            if registrar is not self:
+                state = carried(self.body, registrar.body, start, self.settings)
             fit = registrar.fitter.fit_with_offsets(state, clouds, stages)
             cost = energy(registrar.fitter, fit, clouds) if self.others else 0.0
-            tried.append((cost, registrar, fit.state))
-        return min(tried, key=lambda each: each[0])[1:]
+            return cost, registrar, fit.state
+
+        tried = sorted(map_on_threads(fitted, (self, *self.others)), key=lambda each: each[0])
+        best = [registrar._in_detail(state) for _, registrar, state in tried[:2]]
+        if len(best) == 1:
+            return best[0]
+        first = [replace(last, steps=self.settings.choice_steps)]
+
+        def cost_of(candidate: tuple["Registrar", BodyState]) -> float:
+            registrar, state = candidate
+            return sum(registrar.fitter.fit_with_offsets(state, clouds, first).costs.values())
+
+        costs = map_on_threads(cost_of, best)
+        return best[int(np.argmin(costs))]
+
+    def _in_detail(self, state: BodyState) -> tuple["Registrar", BodyState]:
+        """The same body with finger joints and all its betas, and its state."""
+        if self.detailed is None:
+            return self, state
+        detailed = self.detailed()
+        return detailed, extended(self.body, detailed.body, detailed.fitter.prior, state)
 
     def _fitted(self, scans: Sequence[Registered], stages: Sequence[ScanStage]) -> list[Registered]:
         """All scans together: states, and free surfaces."""

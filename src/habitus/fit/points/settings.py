@@ -401,6 +401,8 @@ class ScanSettings:
     """All scans together, with skin offsets. The noise is that of a point which the offset does not
     explain: of the scanner, and of finer forms of the skin.
     """
+    choice_steps: int = 2
+    """Steps of the last stage after which one of two bodies is chosen."""
     damping: float = 1e-4
     """Levenberg-Marquardt's at the start, relative to the diagonal."""
     max_joint_step: float = 0.6
