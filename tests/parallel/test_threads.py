@@ -4,7 +4,8 @@ import threading
 
 import pytest
 
-from habitus.kernels.threads import map_on_threads, num_threads, one_thread
+from habitus.kernels.threads import num_threads, one_thread
+from habitus.parallel.workers import map_on_threads
 
 
 def test_results_are_in_the_order_of_items():

@@ -4,17 +4,13 @@ child starts anew.
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
-from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
-
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
 
 _MAX_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
 
@@ -87,20 +83,6 @@ def run_chunks(
         ):  # on a busy machine a thread may come too late to find work: nobody waits for it
             other.result()
     return chunks
-
-
-def map_on_threads(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
-    """`function` of each item, in order, on `num_threads` threads: for functions that spend their
-    time in kernels, searches and products which release the interpreter's lock.
-    """
-    given = list(items)
-    results: dict[int, _Result] = {}
-
-    def work(chunk: int, begin: int, end: int) -> None:
-        results.update((k, function(given[k])) for k in range(begin, end))
-
-    run_chunks(work, len(given), least=1, pieces=len(given))
-    return [results[k] for k in range(len(given))]
 
 
 def count_chunks(size: int, least: int = 4096, pieces: int = 1) -> int:

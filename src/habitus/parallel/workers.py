@@ -3,7 +3,7 @@ with the same results; workers are opened by what a caller names.
 """
 
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from habitus.errors import HabitusError, require_extra
-from habitus.kernels.threads import one_core, usable_cores
+from habitus.kernels.threads import num_threads, one_core, usable_cores
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -64,6 +64,17 @@ class Threads:
                     for future in waiting:
                         if future is not None:
                             future.cancel()
+
+
+def map_on_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """`function` of each item, in order, on `num_threads` threads: for functions that spend their
+    time in kernels, searches and products which release the interpreter's lock.
+    """
+    return list(Threads(num_threads()).map(_called, function, list(items)))
+
+
+def _called(function: Callable[[Item], Result], item: Item) -> Result:
+    return function(item)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.scan_start import Guesser, Limb
 from habitus.fit.points.settings import ScanStage
 from habitus.fit.verdict import FEET, HANDS, part_of_joint
-from habitus.kernels.threads import map_on_threads
+from habitus.parallel.workers import map_on_threads
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 _TURNS = np.array(

@@ -30,7 +30,7 @@ from habitus.fit.points.correspondences import NORMAL_DISTANCE, with_normals
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.settings import SCANS, ScanStage, SearchSettings
-from habitus.kernels.threads import map_on_threads
+from habitus.parallel.workers import map_on_threads
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SCAN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (

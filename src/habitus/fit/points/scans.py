@@ -48,8 +48,8 @@ from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import carried, extended, joined
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.fit.verdict import HANDS, vertex_parts
-from habitus.kernels.threads import map_on_threads
 from habitus.mesh.normals import vertex_normals
+from habitus.parallel.workers import map_on_threads
 from habitus.residuals.points import PointSolver
 from habitus.rotations import UP_AXES, up_rotation
 
@@ -252,8 +252,8 @@ class Registrar:
         state = self.fitter.fit(state, [cloud], settings.stages[1:])
         best = replace(best, state=with_usual_joints(self.guesser(), state, cloud))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
-        others = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
-        return Start(best, axis, min(others, default=None))
+        rivals = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
+        return Start(best, axis, min(rivals, default=None))
 
     def _followed(
         self, previous: BodyState, scan: Cleaned, turn: Float[np.ndarray, "3 3"]
