@@ -266,7 +266,7 @@ def separate_scans(
     own = [each for each in data.scans if each.at is None]
     clouds = [fit.cloud.first(last.points) for fit in start.fits]
     return tuple(
-        ScanPoints(cloud.points, cloud.normals, each.noise or last.noise, first + k)
+        ScanPoints(cloud.points, cloud.unit_normals, each.noise or last.noise, first + k)
         for k, (each, cloud) in enumerate(zip(own, clouds, strict=True))
     )
 

@@ -41,7 +41,8 @@ searches for correspondences, chosen by hand.
 class Correspondences:
     """Of N points: the face (N,) of the closest point, the weights of its corners (N, 3), the
     closest point itself (N, 3; m), the surface's normal there (N, 3), and the cosine (N,) between
-    that and the point's own normal.
+    that and the point's own normal; of a normal that is shorter than 1, of which only that share is
+    certain, 1 - length (1 - cosine).
     """
 
     face: Int[np.ndarray, " N"]
@@ -111,7 +112,8 @@ def find_correspondences(
     nearest_around(*mesh, np.ascontiguousarray(points), some[close], face, share, closest)
     smooth = np.einsum("pk,pkc->pc", share, pointing[topology.faces[face]])
     smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
-    return Correspondences(face, share, closest, smooth, (smooth * normals).sum(1))
+    cosine = (smooth * normals).sum(1) + 1.0 - np.linalg.norm(normals, axis=1)
+    return Correspondences(face, share, closest, smooth, cosine)
 
 
 def with_normals(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "*batch 6"]:
@@ -129,7 +131,7 @@ def vertex_weights(
     straight in between.
     """
     pointing = vertex_normals(surface, topology.faces)
-    tree = KDTree(with_normals(cloud.points, cloud.normals))
+    tree = KDTree(with_normals(cloud.points, cloud.unit_normals))
     spacing = tree.query(tree.data[: min(2000, len(cloud.points))], k=2)[0][:, 1]
     covering = max(settings.covering, settings.covering_spacings * float(np.median(spacing)))
     distance = tree.query(with_normals(surface, pointing))[0]

@@ -143,8 +143,7 @@ class ScanFitter:
         pointing = np.concatenate(
             [vertex_normals(surface, self.topology.faces)[some], np.zeros((1, 3))]
         )
-        neighbours = self.settings.cleaning.normal_neighbours
-        normals = agreed(cloud.points, cloud.normals, pointing[which], neighbours)
+        normals = agreed(cloud.points, cloud.normals, pointing[which], self.settings.cleaning)
         return Cloud(cloud.points, normals)
 
     def fit(

@@ -283,13 +283,14 @@ class Registrar:
         best, state = self._best_body(
             [scan.cloud for scan in scans], joined([scan.state for scan in scans])
         )
-        states = [state[k : k + 1] for k in range(len(scans))]
-        if self.fitter.previous is None:
-            states = [
-                with_hands(best.fitter, each, scan.cloud)
-                for each, scan in zip(states, scans, strict=True)
-            ]
-        begin = [replace(scan, state=each) for scan, each in zip(scans, states, strict=True)]
+        begin = []
+        for k, scan in enumerate(scans):
+            each = state[k : k + 1]
+            cloud = best.fitter.oriented(each, scan.cloud)
+            if self.fitter.previous is None:
+                each = with_hands(best.fitter, each, cloud)
+                cloud = best.fitter.oriented(each, cloud)
+            begin.append(replace(scan, state=each, cloud=cloud))
         return best, best._fitted(begin, self.settings.offset_stages[-1:])
 
     def _best_body(

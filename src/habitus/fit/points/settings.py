@@ -77,7 +77,11 @@ class CleaningSettings:
     """
     island_share: float = 0.004
     normal_neighbours: int = 16
-    """Of a point without a normal, through which its plane is fitted."""
+    """Of a point without a normal, through which its plane is fitted,"""
+    normal_radius: float = 0.008
+    """at least with this standard deviation (m) of the Gaussian that weighs them,"""
+    normal_nearest: int = 2
+    """and with the distance to this one of them, where it is larger."""
     sign_neighbours: int = 8
     """Of a point, to which the sign of its normal may be carried."""
     outside_points: int = 3000
