@@ -43,8 +43,34 @@ def test_a_patch_that_looks_the_wrong_way_is_turned_over():
     cloud = on_ball(3000)
     wrong = cloud.points[:, 0] > 0.3
     normals = np.where(wrong[:, None], -1.0, 1.0) * cloud.normals
-    found = agreed(cloud.points, normals, cloud.normals)
+    found = agreed(normals, cloud.normals)
     assert ((found * cloud.normals).sum(1) > 0.0).mean() > 0.97
+
+
+def test_normals_are_certain_on_a_ball_and_hardly_on_a_thin_rod():
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(0.0, 2.0 * np.pi, 60)
+    rod = np.column_stack(
+        [0.006 * np.cos(angle), rng.uniform(-0.6, 0.6, 60), 0.006 * np.sin(angle)]
+    )
+    normals, _ = plane_normals(np.concatenate([on_ball(3000).points, rod]))
+    length = np.linalg.norm(normals, axis=1)
+    assert (length <= 1.0).all()
+    assert np.median(length[:3000]) > 0.95
+    assert np.median(length[3000:]) < 0.6
+
+
+def test_an_uncertain_normal_counts_for_as_much_as_it_is_certain():
+    topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
+    points = on_ball(200, 0.41).points
+    none, half = (
+        find_correspondences(topology, np.asarray(BALL.vertices), points, -share * points / 0.41)
+        for share in (1e-6, 0.5)
+    )
+    _, place = closest_points(points, np.asarray(BALL.vertices), np.asarray(BALL.faces))
+    np.testing.assert_allclose(none.closest, place, atol=1e-9)
+    np.testing.assert_allclose(none.cosine, 1.0, atol=1e-5)
+    np.testing.assert_allclose(half.cosine, 0.0, atol=0.02)  # -1 for half, 1 for the other
 
 
 def test_the_closest_point_is_on_the_nearest_face_that_looks_the_same_way():

@@ -301,30 +301,22 @@ def neighbours_of(points: Float[np.ndarray, "N 3"], count: int) -> Int[np.ndarra
     return np.asarray(near).reshape(len(points), -1)
 
 
-def weighted_neighbours(
-    points: Float[np.ndarray, "N 3"], settings: CleaningSettings = SCANS.cleaning
-) -> tuple[Int[np.ndarray, "N K"], Float[np.ndarray, "N K"]]:
-    """Each point's nearest ones, itself first, and their weights (sum 1): a Gaussian of
-    `normal_radius`, wider where points are sparse.
-    """
-    distance, near = KDTree(points).query(points, k=min(settings.normal_neighbours, len(points)))
-    distance, near = (np.asarray(each).reshape(len(points), -1) for each in (distance, near))
-    nearest = distance[:, min(settings.normal_nearest, distance.shape[1] - 1), None]
-    weight = np.exp(-0.5 * (distance / np.maximum(settings.normal_radius, nearest)) ** 2)
-    return near, weight / weight.sum(1, keepdims=True)
-
-
 def plane_normals(
     points: Float[np.ndarray, "N 3"], settings: CleaningSettings = SCANS.cleaning
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N K"]]:
     """The normal (of either sign) of the plane through each point's neighbours, and these.
 
-    Neighbours weigh less the further they are. The length of a normal says how certain it is: 1 - l0 / l1 with the least two
-    eigenvalues of the neighbours' covariance, 1 in a plane, 0 where they lie along a line or all
-    around, as at the fingers of a sparse scan. On simulated people the mean cosine between it and
-    the true normal is 1 - 0.6 l0 / l1.
+    Neighbours weigh less the further they are (a Gaussian of `normal_radius`, wider where points
+    are sparse). The length of a normal says how certain it is:
+    1 - l0 / l1 with the least two eigenvalues of the neighbours' covariance, 1 in a plane, 0 where
+    they lie along a line or all around, as at the fingers of a sparse scan. On simulated people
+    the mean cosine between it and the true normal is 1 - 0.6 l0 / l1.
     """
-    near, weight = weighted_neighbours(points, settings)
+    distance, near = KDTree(points).query(points, k=min(settings.normal_neighbours, len(points)))
+    distance, near = (np.asarray(each).reshape(len(points), -1) for each in (distance, near))
+    nearest = distance[:, min(settings.normal_nearest, distance.shape[1] - 1), None]
+    weight = np.exp(-0.5 * (distance / np.maximum(settings.normal_radius, nearest)) ** 2)
+    weight /= weight.sum(1, keepdims=True)
     normals = np.empty_like(points)
     for begin in range(0, len(points), CHUNK):
         part = slice(begin, begin + CHUNK)
@@ -373,18 +365,14 @@ def outward(
 
 
 def agreed(
-    points: Float[np.ndarray, "N 3"],
-    normals: Float[np.ndarray, "N 3"],
-    others: Float[np.ndarray, "N 3"],
-    settings: CleaningSettings = SCANS.cleaning,
+    normals: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "N 3"]:
-    """The same normals, turned over where they and their closest neighbours look against
-    ``others``, zero where not known.
+    """The same normals, turned over where they look against ``others``, zero where not known.
+
+    Neighbours have no say: in a sparse scan those of a sole are on the instep.
     """
-    near, weight = weighted_neighbours(points, settings)
-    along = np.einsum("nc,nkc->nk", normals, normals[near])
-    votes = (weight * np.sign(along) * (normals * others).sum(1)[near]).sum(1)
-    return np.where(votes < 0.0, -1.0, 1.0)[:, None] * normals
+    against = (normals * others).sum(1) < -0.1 * np.linalg.norm(normals, axis=1)
+    return np.where(against, -1.0, 1.0)[:, None] * normals
 
 
 def _roundness(points: np.ndarray, normals: np.ndarray, settings: CleaningSettings) -> float:

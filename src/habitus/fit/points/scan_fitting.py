@@ -143,8 +143,7 @@ class ScanFitter:
         pointing = np.concatenate(
             [vertex_normals(surface, self.topology.faces)[some], np.zeros((1, 3))]
         )
-        normals = agreed(cloud.points, cloud.normals, pointing[which], self.settings.cleaning)
-        return Cloud(cloud.points, normals)
+        return Cloud(cloud.points, agreed(cloud.normals, pointing[which]))
 
     def fit(
         self, state: BodyState, clouds: Sequence[Cloud], schedule: Sequence[ScanStage]
