@@ -137,8 +137,8 @@ def _near(
         return None
     there = np.flatnonzero(near)[: settings.max_points]
     rows = np.concatenate([there, np.arange(min(settings.other_points, len(cloud.points)))])
-    few = Cloud(cloud.points[rows], cloud.normals[rows])
-    return Cloud(cloud.points[there], cloud.normals[there]), few
+    hand, few = (Cloud(cloud.points[k], cloud.normals[k], cloud.signed) for k in (there, rows))
+    return hand, few
 
 
 def _best(

@@ -43,15 +43,17 @@ class Scan:
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """Points (N, 3) of a scan, in metres and y up, in random order, and their normals (N, 3),
-    outward. A normal's length, at most 1, says how certain it is (`plane_normals`).
+    outward. A normal's length, at most 1, says how certain it is (`plane_normals`). ``signed``: the
+    scan itself says which side is outward, as a mesh does.
     """
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
+    signed: bool = False
 
     def first(self, count: int) -> "Cloud":
         """Some of them."""
-        return Cloud(self.points[:count], self.normals[:count])
+        return Cloud(self.points[:count], self.normals[:count], self.signed)
 
     @property
     def unit_normals(self) -> Float[np.ndarray, "N 3"]:
@@ -181,7 +183,8 @@ def _cloud(
     points = points[good]
     normals = normals[good] / length[good]
     near = neighbours_of(points, settings.normal_neighbours)
-    return Cloud(points, outward(points, normals, near, carry=False, settings=settings))
+    normals = outward(points, normals, near, carry=False, settings=settings)
+    return Cloud(points, normals, scan.oriented)
 
 
 def _surface_points(
@@ -289,7 +292,9 @@ def turned(cleaned: Cleaned, turn: Float[np.ndarray, "3 3"]) -> tuple[Scan, Clou
         to_body=motion @ scan.to_body,
         notes=cleaned.notes,
     )
-    return whole, Cloud(cleaned.cloud.points @ turn.T, cleaned.cloud.normals @ turn.T)
+    return whole, replace(
+        cleaned.cloud, points=cleaned.cloud.points @ turn.T, normals=cleaned.cloud.normals @ turn.T
+    )
 
 
 CHUNK = 20_000  # points at once: bounds memory, changes no result
@@ -365,14 +370,20 @@ def outward(
 
 
 def agreed(
-    normals: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"],
+    others: Float[np.ndarray, "N 3"],
+    near: Int[np.ndarray, "N K"] | None = None,
 ) -> Float[np.ndarray, "N 3"]:
     """The same normals, turned over where they look against ``others``, zero where not known.
 
-    Neighbours have no say: in a sparse scan those of a sole are on the instep.
+    near: neighbours whose normals have signs of their own that agree; they turn over together. In a
+    sparse scan they are no help: those of a sole are on the instep.
     """
-    against = (normals * others).sum(1) < -0.1 * np.linalg.norm(normals, axis=1)
-    return np.where(against, -1.0, 1.0)[:, None] * normals
+    against = (normals * others).sum(1) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+    if near is not None:
+        along = np.einsum("nc,nkc->nk", normals, normals[near])
+        against = (np.sign(along) * against[near]).mean(1)
+    return np.where(against < -0.1, -1.0, 1.0)[:, None] * normals
 
 
 def _roundness(points: np.ndarray, normals: np.ndarray, settings: CleaningSettings) -> float:

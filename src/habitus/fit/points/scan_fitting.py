@@ -62,7 +62,7 @@ from habitus.fit.points.correspondences import (
     pose_prior,
     shape_prior,
 )
-from habitus.fit.points.scan import Cloud, agreed
+from habitus.fit.points.scan import Cloud, agreed, neighbours_of
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term
@@ -133,17 +133,17 @@ class ScanFitter:
         hanging = self.clothes.hanging(found, self.topology.faces[found.face], cloud.points)
         return np.where(hanging, 0.0, found.distances(cloud.points))
 
-    def oriented(self, state: BodyState, cloud: Cloud) -> Cloud:
-        """The cloud with normals on the model's side where it is near."""
-        surface = self.vertices(state)
+    def oriented(self, surface: Float[np.ndarray, "V 3"], cloud: Cloud) -> Cloud:
+        """The cloud with normals on the side of a surface (m) of the body where that is near."""
         some = self.topology.whole
         _, which = KDTree(surface[some]).query(
             cloud.points, distance_upper_bound=self.settings.orientation_distance
         )
-        pointing = np.concatenate(
-            [vertex_normals(surface, self.topology.faces)[some], np.zeros((1, 3))]
-        )
-        return Cloud(cloud.points, agreed(cloud.normals, pointing[which]))
+        pointing = vertex_normals(surface, self.topology.faces)[some]
+        others = np.concatenate([pointing, np.zeros((1, 3))])[which]
+        count = self.settings.cleaning.normal_neighbours
+        near = neighbours_of(cloud.points, count) if cloud.signed else None
+        return replace(cloud, normals=agreed(cloud.normals, others, near))
 
     def fit(
         self, state: BodyState, clouds: Sequence[Cloud], schedule: Sequence[ScanStage]
@@ -316,15 +316,20 @@ class OffsetEquations:
         stage: ScanStage,
         last: "OffsetEquations | None" = None,
     ) -> "OffsetEquations":
-        """Correspondences on the model with the offset of the last step, or the mean offset."""
+        """Correspondences on the model with the offset of the last step, or the mean offset, where
+        normals get their signs unless the scan itself has them.
+        """
         faces = fitter.topology.faces
         cloud = cloud.first(stage.points)
         jacobian = surface_jacobian(fitter.body, state.betas, state.pose[0], state.trans[0])
         model = np.asarray(jacobian.surface.vertices)
         normal = vertex_normals(model, faces)
         offset = mean if last is None else last.offset_at(model)
+        surface = model + offset[:, None] * normal
+        if not cloud.signed:
+            cloud = fitter.oriented(surface, cloud)
         correspondences = find_correspondences(
-            fitter.topology, model + offset[:, None] * normal, cloud.points, cloud.normals
+            fitter.topology, surface, cloud.points, cloud.normals
         )
         weight = correspondences.weights(
             cloud.points, stage.scale, fitter.settings.offset_min_cosine

@@ -415,7 +415,7 @@ def _distinct(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _turned(cloud: Cloud, turn: np.ndarray) -> Cloud:
-    return Cloud(cloud.points @ turn.T, cloud.normals @ turn.T)
+    return replace(cloud, points=cloud.points @ turn.T, normals=cloud.normals @ turn.T)
 
 
 def _size(points: np.ndarray) -> tuple[np.ndarray, float]:

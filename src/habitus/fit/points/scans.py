@@ -210,9 +210,9 @@ class Registrar:
         start = self._start(scan, up, previous)
         whole, cloud = turned(scan, up_rotation(start.up))
         state = start.best.state
-        cloud = self.fitter.oriented(state, cloud)
-        person = self._is_person(state, cloud)
         surface = self.fitter.vertices(state)
+        cloud = self.fitter.oriented(surface, cloud)
+        person = self._is_person(state, cloud)
         return Registered(whole, cloud, start, state, surface, person, scan.islands)
 
     def _is_person(self, state: BodyState, cloud: Cloud) -> bool:
@@ -236,7 +236,7 @@ class Registrar:
         def fitted(candidate: Candidate) -> Candidate:
             cloud = turned(scan, candidate.turn)[1]
             state = self.fitter.fit(candidate.state, [cloud], settings.stages[:1])
-            cloud = self.fitter.oriented(state, cloud)
+            cloud = self._oriented(state, cloud)
             scene = self.guesser().scene(cloud)
             state = self.fitter.fit(scene.limbs(state), [cloud], settings.stages[1:])
             return Candidate(state, candidate.turn, scene.misfit(state))
@@ -247,13 +247,17 @@ class Registrar:
         tried.sort(key=lambda candidate: candidate.misfit)
         best = tried[0]
         cloud = turned(scan, best.turn)[1]
-        state = with_extremities(self.fitter, best.state, self.fitter.oriented(best.state, cloud))
-        cloud = self.fitter.oriented(state, cloud)
+        state = with_extremities(self.fitter, best.state, self._oriented(best.state, cloud))
+        cloud = self._oriented(state, cloud)
         state = self.fitter.fit(state, [cloud], settings.stages[1:])
         best = replace(best, state=with_usual_joints(self.guesser(), state, cloud))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         rivals = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
         return Start(best, axis, min(rivals, default=None))
+
+    def _oriented(self, state: BodyState, cloud: Cloud) -> Cloud:
+        """A scan's cloud with normals on the side of the body in a state."""
+        return self.fitter.oriented(self.fitter.vertices(state), cloud)
 
     def _followed(
         self, previous: BodyState, scan: Cleaned, turn: Float[np.ndarray, "3 3"]
@@ -286,10 +290,9 @@ class Registrar:
         begin = []
         for k, scan in enumerate(scans):
             each = state[k : k + 1]
-            cloud = best.fitter.oriented(each, scan.cloud)
+            cloud = best._oriented(each, scan.cloud)
             if self.fitter.previous is None:
                 each = with_hands(best.fitter, each, cloud)
-                cloud = best.fitter.oriented(each, cloud)
             begin.append(replace(scan, state=each, cloud=cloud))
         return best, best._fitted(begin, self.settings.offset_stages[-1:])
 
@@ -340,11 +343,13 @@ class Registrar:
         """All scans together: states, and free surfaces."""
         clouds = [scan.cloud for scan in scans]
         fit = self.fitter.fit_with_offsets(joined([scan.state for scan in scans]), clouds, stages)
+        clouds = [self.fitter.oriented(*each) for each in zip(fit.surfaces, clouds, strict=True)]
         return [
             replace(
                 scan,
+                cloud=clouds[k],
                 state=fit.state[k : k + 1],
-                surface=self._freed(self.fitter.vertices(fit.state, k), scan.cloud, surface),
+                surface=self._freed(self.fitter.vertices(fit.state, k), clouds[k], surface),
                 status=fit.status,
                 costs=dict(fit.costs),
             )
