@@ -316,9 +316,7 @@ class OffsetEquations:
         stage: ScanStage,
         last: "OffsetEquations | None" = None,
     ) -> "OffsetEquations":
-        """Correspondences on the model with the offset of the last step, or the mean offset, where
-        normals get their signs unless the scan itself has them.
-        """
+        """Correspondences on the model with the offset of the last step, or the mean offset."""
         faces = fitter.topology.faces
         cloud = cloud.first(stage.points)
         jacobian = surface_jacobian(fitter.body, state.betas, state.pose[0], state.trans[0])
@@ -326,7 +324,7 @@ class OffsetEquations:
         normal = vertex_normals(model, faces)
         offset = mean if last is None else last.offset_at(model)
         surface = model + offset[:, None] * normal
-        if not cloud.signed:
+        if stage.renewed_signs and not cloud.signed:
             cloud = fitter.oriented(surface, cloud)
         correspondences = find_correspondences(
             fitter.topology, surface, cloud.points, cloud.normals

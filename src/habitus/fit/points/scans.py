@@ -323,7 +323,7 @@ class Registrar:
         best = [registrar._in_detail(state) for _, registrar, state in tried[:2]]
         if len(best) == 1:
             return best[0]
-        first = [replace(last, steps=self.settings.choice_steps)]
+        first = [replace(last, steps=self.settings.choice_steps, renewed_signs=False)]
 
         def cost_of(candidate: tuple["Registrar", BodyState]) -> float:
             registrar, state = candidate

@@ -44,6 +44,9 @@ class ScanStage(Stage):
     own_offsets: float = 1.0
     """Sd of the skin offsets that each scan of a person has by itself, in that of all; what remains
     is one field that all scans of the person share. 1: they share none."""
+    renewed_signs: bool = False
+    """Whether normals get their signs anew in each step, where the scan itself has none. Before the
+    last stage the surface is too far off at ears, hands and feet."""
     smoothness: int = 1
     """Of the random field of skin offsets. With 2 pose and shape of the right body are closer to
     the truth, but the wrong body explains a scan more often."""
@@ -392,11 +395,12 @@ class ScanSettings:
         ScanStage(3, points=8000, scale=0.05, noise=0.01),
         ScanStage(2, points=16_000, scale=0.03, noise=0.004),
         ScanStage(
-            6,
+            9,
             points=40_000,
             scale=0.02,
             noise=0.0025,
             least_noise=0.0012,
+            renewed_signs=True,
             smoothness=2,
             own_offsets=0.5,
             until=Tolerances(cost=1e-4),
