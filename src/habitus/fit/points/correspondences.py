@@ -3,10 +3,9 @@
     argmin over the surface  |t - q|^2 + c^2 |n_t - n_q|^2,    c = `NORMAL_DISTANCE`
 
 where n_q is of length 1 and n_t as long as it is certain (`scan.plane_normals`), so that an
-uncertain normal decides less. Then
-how well a scan covers each vertex of a registered surface, and the soles on the floor (thesis
-eq. 4.6). Then the terms that fits to scans and depth views share, with their own normal equations
-(thesis secs. 4.6.1 and 5.4):
+uncertain normal decides less. Also how well a scan covers each vertex of a registered surface, the
+soles on the floor (thesis eq. 4.6), and the terms that fits to scans and depth views share, with
+their own normal equations (thesis secs. 4.6.1 and 5.4):
 
     "shape"  1/2 (betas - b)^T P (betas - b)
     "pose"   1/2 sum_t (theta_t - m_t)^T P (theta_t - m_t)

@@ -312,10 +312,10 @@ def plane_normals(
     """The normal (of either sign) of the plane through each point's neighbours, and these.
 
     Neighbours weigh less the further they are (a Gaussian of `normal_radius`, wider where points
-    are sparse). The length of a normal says how certain it is:
-    1 - l0 / l1 with the least two eigenvalues of the neighbours' covariance, 1 in a plane, 0 where
-    they lie along a line or all around, as at the fingers of a sparse scan. On simulated people
-    the mean cosine between it and the true normal is 1 - 0.6 l0 / l1.
+    are sparse). The length of a normal says how certain it is: 1 - l0 / l1 with the least two
+    eigenvalues of the neighbours' covariance, 1 in a plane, 0 where they lie along a line or all
+    around, as at the fingers of a sparse scan. On simulated people the mean cosine between it and
+    the true normal, whatever their signs, is about 1 - 0.6 l0 / l1 up to l0 / l1 of 0.6.
     """
     distance, near = KDTree(points).query(points, k=min(settings.normal_neighbours, len(points)))
     distance, near = (np.asarray(each).reshape(len(points), -1) for each in (distance, near))

@@ -46,7 +46,8 @@ class ScanStage(Stage):
     is one field that all scans of the person share. 1: they share none."""
     renewed_signs: bool = False
     """Whether normals get their signs anew in each step, where the scan itself has none. Before the
-    last stage the surface is too far off at ears, hands and feet."""
+    last stage, and while the body is chosen in its first steps, the surface is too far off at ears,
+    hands and feet."""
     smoothness: int = 1
     """Of the random field of skin offsets. With 2 pose and shape of the right body are closer to
     the truth, but the wrong body explains a scan more often."""
