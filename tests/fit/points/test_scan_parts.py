@@ -12,7 +12,16 @@ from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.correspondences import Topology, find_correspondences, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface
-from habitus.fit.points.scan import Cloud, Scan, agreed, cleaned, outward, plane_normals, turned
+from habitus.fit.points.scan import (
+    Cloud,
+    Scan,
+    agreed,
+    cleaned,
+    neighbours_of,
+    outward,
+    plane_normals,
+    turned,
+)
 from habitus.fit.points.scan_evidence import lost_share
 from habitus.fit.points.scan_result import at_rest, judge_scan
 from habitus.fit.points.settings import SCANS, SurfaceStage
@@ -39,12 +48,23 @@ def test_normals_of_a_cloud_point_outward_also_of_its_front_alone(whole):
     assert ((found * unit).sum(1) > 0.9).mean() > 0.99
 
 
-def test_a_patch_that_looks_the_wrong_way_is_turned_over():
+@pytest.mark.parametrize("neighbours", [None, 16])
+def test_a_patch_that_looks_the_wrong_way_is_turned_over(neighbours):
     cloud = on_ball(3000)
+    near = None if neighbours is None else neighbours_of(cloud.points, neighbours)
     wrong = cloud.points[:, 0] > 0.3
     normals = np.where(wrong[:, None], -1.0, 1.0) * cloud.normals
-    found = agreed(normals, cloud.normals)
+    found = agreed(normals, cloud.normals, near)
     assert ((found * cloud.normals).sum(1) > 0.0).mean() > 0.97
+
+
+def test_signs_that_come_with_a_scan_are_reversed_in_patches_estimated_ones_singly():
+    cloud = on_ball(3000)
+    model = cloud.normals.copy()
+    model[::50] *= -1.0  # single points whose closest point of a model is on the wrong side
+    near = neighbours_of(cloud.points, 16)
+    np.testing.assert_array_equal(agreed(cloud.normals, model, near), cloud.normals)
+    np.testing.assert_array_equal(agreed(cloud.normals, model), model)
 
 
 def test_normals_are_certain_on_a_ball_and_hardly_on_a_thin_rod():

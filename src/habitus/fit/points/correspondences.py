@@ -42,8 +42,8 @@ searches for correspondences, chosen by hand.
 class Correspondences:
     """Of N points: the face (N,) of the closest point, the weights of its corners (N, 3), the
     closest point itself (N, 3; m), the surface's normal there (N, 3), and the cosine (N,) between
-    that and the point's own normal; of a normal that is shorter than 1, of which only that share is
-    certain, 1 - length (1 - cosine).
+    that and the point's own normal, c. For a normal of length l < 1 (its certainty) it is
+    1 - l (1 - c): an uncertain normal does not rule a correspondence out.
     """
 
     face: Int[np.ndarray, " N"]

@@ -43,8 +43,8 @@ class Scan:
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """Points (N, 3) of a scan, in metres and y up, in random order, and their normals (N, 3),
-    outward. A normal's length, at most 1, says how certain it is (`plane_normals`). ``signed``: the
-    scan itself says which side is outward, as a mesh does.
+    outward. The length of a normal, at most 1, is its certainty (`plane_normals`). ``signed``: the
+    signs of the normals come with the scan, as those of a mesh do, and were not estimated.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -57,7 +57,7 @@ class Cloud:
 
     @property
     def unit_normals(self) -> Float[np.ndarray, "N 3"]:
-        """The normals, as if all were certain."""
+        """The normals scaled to length 1."""
         return self.normals / np.maximum(np.linalg.norm(self.normals, axis=1, keepdims=True), 1e-12)
 
 
@@ -311,11 +311,12 @@ def plane_normals(
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N K"]]:
     """The normal (of either sign) of the plane through each point's neighbours, and these.
 
-    Neighbours weigh less the further they are (a Gaussian of `normal_radius`, wider where points
-    are sparse). The length of a normal says how certain it is: 1 - l0 / l1 with the least two
-    eigenvalues of the neighbours' covariance, 1 in a plane, 0 where they lie along a line or all
-    around, as at the fingers of a sparse scan. On simulated people the mean cosine between it and
-    the true normal, whatever their signs, is about 1 - 0.6 l0 / l1 up to l0 / l1 of 0.6.
+    points: (N, 3), metres. Neighbours are weighted by a Gaussian of their distance (sd
+    `normal_radius`, larger where points are sparse). The length of a normal is its certainty,
+    1 - l0 / l1, with l0 <= l1 the two smallest eigenvalues of the weighted covariance: 1 for points
+    in a plane, 0 for points along a line or all around, as at the fingers of a sparse scan. On
+    simulated people the mean absolute cosine between estimated and true normals is about
+    1 - 0.6 l0 / l1 for ratios up to 0.6.
     """
     distance, near = KDTree(points).query(points, k=min(settings.normal_neighbours, len(points)))
     distance, near = (np.asarray(each).reshape(len(points), -1) for each in (distance, near))
@@ -374,10 +375,11 @@ def agreed(
     others: Float[np.ndarray, "N 3"],
     near: Int[np.ndarray, "N K"] | None = None,
 ) -> Float[np.ndarray, "N 3"]:
-    """The same normals, turned over where they look against ``others``, zero where not known.
+    """The normals, reversed where they point against ``others`` (zero where unknown: kept).
 
-    near: neighbours whose normals have signs of their own that agree; they turn over together. In a
-    sparse scan they are no help: those of a sole are on the instep.
+    near: neighbours of each point, itself included, where signs are consistent within a surface
+    patch; a point is then reversed by the mean over its neighbours. For estimated signs leave it
+    out: in a sparse scan the neighbours of a point on the sole may lie on the instep.
     """
     against = (normals * others).sum(1) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
     if near is not None:

@@ -45,9 +45,10 @@ class ScanStage(Stage):
     """Sd of the skin offsets that each scan of a person has by itself, in that of all; what remains
     is one field that all scans of the person share. 1: they share none."""
     renewed_signs: bool = False
-    """Whether normals get their signs anew in each step, where the scan itself has none. Before the
-    last stage, and while the body is chosen in its first steps, the surface is too far off at ears,
-    hands and feet."""
+    """Whether the signs of estimated normals are determined again in each step, from the surface.
+    Signs that come with the scan (`Cloud.signed`) are kept. Off before the last stage and in the
+    steps that choose the body: there the surface is still too inaccurate at ears, hands and feet.
+    """
     smoothness: int = 1
     """Of the random field of skin offsets. With 2 pose and shape of the right body are closer to
     the truth, but the wrong body explains a scan more often."""
@@ -81,11 +82,12 @@ class CleaningSettings:
     """
     island_share: float = 0.004
     normal_neighbours: int = 16
-    """Of a point without a normal, through which its plane is fitted,"""
+    """Number of neighbours through which a plane is fitted, for points without normals."""
     normal_radius: float = 0.008
-    """at least with this standard deviation (m) of the Gaussian that weighs them,"""
+    """Smallest standard deviation (m) of the Gaussian that weights these neighbours by distance."""
     normal_nearest: int = 2
-    """and with the distance to this one of them, where it is larger."""
+    """Index of the neighbour whose distance is the standard deviation where it is larger (0: the
+    point itself)."""
     sign_neighbours: int = 8
     """Of a point, to which the sign of its normal may be carried."""
     outside_points: int = 3000
