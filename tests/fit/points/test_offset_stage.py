@@ -20,7 +20,7 @@ from habitus.fit.offsets import (
 from habitus.fit.points.correspondences import Topology, find_correspondences
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import OffsetEquations, PreviousFrame, ScanFitter
-from habitus.fit.points.settings import ScanStage
+from habitus.fit.points.settings import CLOTHES, HairSettings, ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
 from habitus.solve.terms import geman_mcclure_weight
@@ -200,3 +200,49 @@ def test_every_stage_has_a_field_of_its_own_smoothness(fitter):
         for stages in ((replace(STEP, steps=12),), (smooth,), (STEP, smooth))
     )
     assert abs(last - alone) < 0.2 * abs(rough - alone)
+
+
+@pytest.mark.parametrize("thickness", [0.0, 0.012, 0.03, 0.05])
+def test_the_thickness_of_hair_is_measured(fitter, thickness):
+    state = a_state(fitter, 2)
+    prior = fitter.offset_prior(state, [with_hair(fitter, state, thickness)])
+    measured = prior.mean[fitter.scalp > 0.99]
+    np.testing.assert_allclose(measured, thickness, rtol=0.12, atol=0.001)
+    assert not prior.mean[fitter.scalp == 0.0].any()
+    spread = offset_spread(fitter.body, fitter.settings.offsets)
+    np.testing.assert_allclose(prior.spread, np.hypot(spread, prior.mean))
+
+
+def test_hair_that_the_clothes_describe_is_not_measured(fitter):
+    state = a_state(fitter, 2)
+    cloud = with_hair(fitter, state, 0.03)
+    for name in ("tight", "loose"):
+        dressed = replace(fitter, settings=replace(fitter.settings, clothes=CLOTHES[name]))
+        assert dressed.offset_prior(state, [cloud]).mean.max() < 0.004
+
+
+def test_the_head_does_not_grow_into_the_hair(fitter):
+    """The model's face stays where it is, and the surface is that of the hair."""
+    truth = a_state(fitter, 2)
+    cloud = with_hair(fitter, truth, 0.04)
+    hairless = replace(fitter, settings=replace(fitter.settings, hair=HairSettings(line=9.0)))
+    assert not hairless.scalp.any()
+    whole = replace(STEP, betas=fitter.body.num_betas)
+    names = fitter.body.joint_names
+    face = (fitter.body.strongest_joint == names.index("head")) & (fitter.scalp == 0.0)
+    error = {}
+    for name, one in (("hair", fitter), ("none", hairless)):
+        state = one.fit(truth, [cloud], (replace(whole, noise=0.005),))
+        fit = one.fit_with_offsets(state, [cloud], (whole,))
+        apart = fitter.vertices(fit.state) - fitter.vertices(truth)
+        error[name] = np.linalg.norm(apart[face], axis=1).mean()
+    assert error["hair"] < 0.003
+    assert error["hair"] < 0.5 * error["none"]
+
+
+def with_hair(fitter: ScanFitter, state: BodyState, thickness: float) -> Cloud:
+    """A scan of a person with hair."""
+    model = fitter.vertices(state)
+    faces = fitter.body.faces
+    hair = thickness * fitter.scalp[:, None] * vertex_normals(model, faces)
+    return sampled(model + hair, faces, 9000, 3)

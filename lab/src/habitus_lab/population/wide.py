@@ -3,9 +3,9 @@ with the hands of real scans.
 
 Shapes are 1.5 times as wide as the survey's and heavy-tailed (Student's t, 5 degrees of freedom);
 the skin lies off the body by a smooth random field of 3 to 10 mm (sd), not symmetric, a quarter of
-it on hands, feet and face; every second head has hair of up to 5 cm. Hands are fists, grips,
-pinches, flat or relaxed, each side for itself; hands also rest on hips, fold, and lie beside the
-head.
+it on hands, feet and face; every second head has hair of up to 5 cm that leaves the ears free.
+Hands are fists, grips, pinches, flat or relaxed, each side for itself; hands also rest on hips,
+fold, and lie beside the head.
 """
 
 from collections.abc import Mapping
@@ -27,6 +27,8 @@ MAX_BETA = 4.5
 FIELD = (0.003, 0.010)
 """Metres: between which the sd of a person's own field lies."""
 HAIR = (0.005, 0.05)
+EAR = (0.03, 0.06)
+"""Metres from the ear's landmark: no hair up to the first, all of it from the second on."""
 ARMS: Mapping[str, Mapping[str, tuple[float, float, float]]] = MappingProxyType(
     {
         "hands on hips": {"shoulder": (1.14, -0.29, -0.93), "elbow": (0.0, -1.3, 0.0)},
@@ -108,11 +110,14 @@ def is_bony(joint: str) -> bool:
 
 
 def _scalp(body: BodyModel) -> Float[np.ndarray, " V"]:
-    """1 on top and back of the head, 0 on the face, smooth in between."""
+    """1 on top and back of the head, 0 on the face and the ears, smooth in between."""
     rest = np.asarray(body.v_template)
     head = np.asarray(body.skinning_weights)[:, body.joint_names.index("head")]
     mine = head > 0.5
     middle = rest[mine].mean(0)
     size = rest[mine, 1].max() - middle[1]
     height = (rest[:, 1] - middle[1] - 0.7 * (rest[:, 2] - middle[2])) / size
-    return head * np.clip(2.0 * height - 0.5, 0.0, 1.0)
+    ears = rest[[body.landmarks[f"{side}_ear"] for side in SIDES]]
+    from_ear = np.linalg.norm(rest[:, None] - ears, axis=2).min(1)
+    free = np.clip((from_ear - EAR[0]) / (EAR[1] - EAR[0]), 0.0, 1.0)
+    return head * free * np.clip(2.0 * height - 0.5, 0.0, 1.0)

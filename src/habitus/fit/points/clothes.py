@@ -9,6 +9,10 @@ surface therefore pulls with a constant force, 1 / e, instead of one that grows 
 skin comes to lie where few points are inside of it. Neighbouring points of cloth are not
 independent; c = min(1, `ClothesSettings.points` / N) counts all N as that many. Under loose clothes
 the surface is the model with its skin offsets, and its vertices have weight 0.
+
+Hair that no option describes is part of the surface: the skin offsets of the scalp then have the
+mean and the standard deviation `hair_thickness`, and in fits without offsets its points weigh
+`HairSettings.weight`. Otherwise the model's head grows until it fills the hair.
 """
 
 from collections.abc import Mapping
@@ -21,7 +25,7 @@ from jaxtyping import Bool, Float, Int
 from habitus.body.model import BodyModel
 from habitus.fit.points.correspondences import Correspondences
 from habitus.fit.points.depth_settings import STANDARD
-from habitus.fit.points.settings import ClothesSettings
+from habitus.fit.points.settings import ClothesSettings, HairSettings
 from habitus.fit.points.skin_offsets import cover_of, scalp
 from habitus.fit.verdict import BODY, part_of_joint
 
@@ -94,3 +98,17 @@ class Clothes:
         off = (outside > self.settings.touching) | (correspondences.cosine < self.settings.aside)
         near = correspondences.distances(points) < self.settings.furthest
         return (ease > 0.0) & off & near
+
+
+def hair_thickness(
+    correspondences: Correspondences,
+    scalp: Float[np.ndarray, " N"],
+    points: Float[np.ndarray, "N 3"],
+    settings: HairSettings,
+) -> float:
+    """The median distance (m) of a scan outside a model's scalp; 0 if the scan is inside or shows
+    no scalp. scalp: how much hair may grow at each point's correspondence, 0..1.
+    """
+    counted = (scalp > settings.grown) & (correspondences.distances(points) < settings.thickest)
+    outside = correspondences.outside(points)[counted]
+    return max(0.0, float(np.median(outside))) if len(outside) else 0.0

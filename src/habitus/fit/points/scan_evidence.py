@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
-from habitus.fit.offsets import field_precision, offset_spread
+from habitus.fit.offsets import field_precision
 from habitus.fit.points.clothes import REGIONS
 from habitus.fit.points.correspondences import find_correspondences
 from habitus.fit.points.scan import Cloud
@@ -77,12 +77,14 @@ def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float
     state = fit.state
     settings = fitter.settings
     last = settings.offset_stages[-1]
-    spread = offset_spread(fitter.body, settings.offsets)
     total = 0.5 * float(state.betas @ state.betas)
     for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
         model = fitter.vertices(state, k)
         offset = ((surface - model) * vertex_normals(model, fitter.topology.faces)).sum(1)
-        precision = field_precision(fitter.topology.faces, model, spread, settings.offsets.range)
+        offset -= fit.prior.mean
+        precision = field_precision(
+            fitter.topology.faces, model, fit.prior.spread, settings.offsets.range
+        )
         deviation = state.pose[k, 1:].ravel() - fitter.prior.mean
         total += 0.5 * float(offset @ (precision @ offset))
         total += 0.5 * float(deviation @ fitter.precision @ deviation)

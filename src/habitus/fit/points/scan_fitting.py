@@ -19,12 +19,13 @@ and eliminated from each step exactly (variable projection, Golub and Pereyra 19
 then follow what a smooth offset cannot explain, the form of a knee sooner than the girth of a
 thigh.
 
-h0 and betas0 are 0 and theta0 the prior's mean. Several scans of a person share h0 where
-`ScanStage.own_offsets`, a, is below 1: h0 ~ N(0, (1 - a^2) Q^-1) is renewed before each step from
-all h (`shared_offset`), and each h lies about it with precision Q / a^2. Under tight clothes h0 is
-their thickness more, loose ones change w_p (`habitus.fit.points.clothes`). In a sequence all
-three are those of the frame before, lambda_shape is divided by `shape_change`^2 and Q by
-`offset_change`^2. lambda_shape and lambda_pose are `ScanStage.shape` and `.pose`; s is
+betas0 are 0 and theta0 is the prior's mean; h0 is 0, but on the scalp the thickness of hair, and
+under tight clothes theirs (`habitus.fit.points.clothes`, which also says what loose clothes and
+hair do to w_p). Several scans of a person share h0 where `ScanStage.own_offsets`, a, is below 1:
+h0 ~ N(0, (1 - a^2) Q^-1) more is renewed before each step from all h (`shared_offset`), and each h
+lies about it with precision Q / a^2. In a sequence all three are those of the frame before,
+lambda_shape is divided by `shape_change`^2 and Q by `offset_change`^2. lambda_shape and
+lambda_pose are `ScanStage.shape` and `.pose`; s is
 `ScanStage.slide`.
 """
 
@@ -51,7 +52,7 @@ from habitus.fit.offsets import (
     motion_along,
     offset_spread,
 )
-from habitus.fit.points.clothes import Clothes
+from habitus.fit.points.clothes import Clothes, hair_thickness
 from habitus.fit.points.correspondences import (
     Correspondences,
     Topology,
@@ -64,6 +65,7 @@ from habitus.fit.points.correspondences import (
 )
 from habitus.fit.points.scan import Cloud, agreed, neighbours_of
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
+from habitus.fit.points.skin_offsets import scalp
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term
 from habitus.solve.least_squares import Levenberg
@@ -81,12 +83,21 @@ class PreviousFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class OffsetPrior:
+    """Mean and standard deviation (V,; m) of skin offsets, with tight clothes and hair."""
+
+    mean: Float[np.ndarray, " V"]
+    spread: Float[np.ndarray, " V"]
+
+
+@dataclass(frozen=True, eq=False)
 class OffsetFit:
-    """A state, the surfaces (m) with skin offsets and tight clothes, and how the solve ended:
+    """A state, the prior of skin offsets, the surfaces (m) with them, and how the solve ended:
     `status` of `habitus.minimize`, the cost of each term after the last step.
     """
 
     state: BodyState
+    prior: OffsetPrior
     surfaces: tuple[Float[np.ndarray, "V 3"], ...]
     status: str
     costs: Mapping[str, float]
@@ -111,6 +122,11 @@ class ScanFitter:
     def clothes(self) -> Clothes:
         """What the person wears."""
         return Clothes.of(self.body, self.settings.clothes)
+
+    @cached_property
+    def scalp(self) -> Float[np.ndarray, " V"]:
+        """1 where hair may grow, 0 elsewhere."""
+        return scalp(self.body, self.settings.hair.line)
 
     @property
     def body(self) -> BodyModel:
@@ -145,6 +161,30 @@ class ScanFitter:
         near = neighbours_of(cloud.points, count) if cloud.signed else None
         return replace(cloud, normals=agreed(cloud.normals, others, near))
 
+    def offset_prior(self, state: BodyState, clouds: Sequence[Cloud]) -> OffsetPrior:
+        """The prior of skin offsets in a fit that starts at a state."""
+        spread = offset_spread(self.body, self.settings.offsets)
+        thickness = self.clothes.thickness
+        if self.previous is not None:
+            mean = thickness + self.previous.offset
+            return OffsetPrior(mean, self.settings.offset_change * spread)
+        if self.settings.clothes.covers_hair:
+            return OffsetPrior(thickness, spread)
+        hair = self.scalp * np.median([self._hair(state, k, x) for k, x in enumerate(clouds)])
+        return OffsetPrior(thickness + hair, np.hypot(spread, hair))
+
+    def _hair(self, state: BodyState, k: int, cloud: Cloud) -> float:
+        """The thickness (m) of hair in scan k."""
+        few = cloud.first(self.settings.hair.points)
+        found = self.matched(state, k, few)
+        return hair_thickness(found, self._hairy(found), few.points, self.settings.hair)
+
+    def _hairy(self, correspondences: Correspondences) -> Float[np.ndarray, " N"]:
+        """How much hair may grow at each correspondence, 0..1."""
+        corners = self.topology.faces[correspondences.face]
+        hairy = (self.scalp[corners] * correspondences.barycentric).sum(1)
+        return np.minimum(hairy, 1.0)  # rounding
+
     def fit(
         self, state: BodyState, clouds: Sequence[Cloud], schedule: Sequence[ScanStage]
     ) -> BodyState:
@@ -168,17 +208,14 @@ class ScanFitter:
 
         colours: of each scan, places along the skin, where offsets have no part.
         """
-        spread = offset_spread(self.body, self.settings.offsets)
-        thickness = mean = self.clothes.thickness
-        if self.previous is not None:
-            mean = thickness + self.previous.offset
-            spread = self.settings.offset_change * spread
+        prior = self.offset_prior(state, clouds)
+        mean = prior.mean
         models = [self.vertices(state, k) for k in range(len(clouds))]
         alone = len(clouds) == 1 or self.previous is not None
         own = [1.0 if alone else stage.own_offsets for stage in schedule]
         precisions = {
             (share, smoothness): [
-                self._field(model, share * spread, smoothness) for model in models
+                self._field(model, share * prior.spread, smoothness) for model in models
             ]
             for share, smoothness in {
                 (share, stage.smoothness) for share, stage in zip(own, schedule, strict=True)
@@ -192,7 +229,7 @@ class ScanFitter:
             share = 1.0 if alone else stage.own_offsets
             if scans and not alone:
                 offsets = [scan.offset_at(self.vertices(now, k)) for k, scan in enumerate(scans)]
-                mean = thickness + shared_offset(np.array(offsets) - thickness, share)
+                mean = prior.mean + shared_offset(np.array(offsets) - prior.mean, share)
             scans = [
                 OffsetEquations.of(
                     self,
@@ -216,7 +253,7 @@ class ScanFitter:
             along_normals(model, scan.offset_at(model), self.body)
             for model, scan in zip(models, scans, strict=True)
         )
-        return OffsetFit(minimized.state, surfaces, minimized.status, minimized.costs)
+        return OffsetFit(minimized.state, prior, surfaces, minimized.status, minimized.costs)
 
     def minimized(self, terms_at: Any, state: BodyState, schedule: Sequence[ScanStage]) -> Any:
         """The solve of a schedule: correspondences renewed before each step."""
@@ -263,6 +300,7 @@ class ScanFitter:
         correspondences = self.matched(state, k, cloud)
         weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
         corners = self.topology.faces[correspondences.face]
+        weight *= 1.0 - (1.0 - self.settings.hair.weight) * self._hairy(correspondences)
         variance = stage.noise**2 / min(1.0, self.settings.effective_points / len(weight))
         weight *= self.clothes.factor(correspondences, corners, cloud.points, variance) / variance
         return PointObservations.to_planes(

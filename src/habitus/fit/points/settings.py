@@ -374,6 +374,11 @@ class ClothesSettings:
     furthest: float = 0.12
     """Distance beyond which it is neither."""
 
+    @property
+    def covers_hair(self) -> bool:
+        """Whether these settings describe hair."""
+        return self.hair > 0.0 or self.hair_ease > 0.0
+
 
 CLOTHES: Mapping[str, ClothesSettings] = MappingProxyType(
     {
@@ -383,6 +388,24 @@ CLOTHES: Mapping[str, ClothesSettings] = MappingProxyType(
     }
 )
 """By the name of `habitus register --clothes`."""
+
+
+@dataclass(frozen=True)
+class HairSettings:
+    """Hair of a scan that is registered as it is (`habitus.fit.points.clothes`); metres. Chosen on
+    seven people of benchmarks/wide_people.py.
+    """
+
+    line: float = 0.3
+    """Share of the way from the head's joint to its top from which hair may grow in front."""
+    weight: float = 0.1
+    """Of points where hair may grow, in fits without skin offsets."""
+    points: int = 10_000
+    """Of a scan from which the hair's thickness is measured, at most."""
+    grown: float = 0.9
+    """How much hair must be possible at a point for that, 0..1."""
+    thickest: float = 0.08
+    """No hair is thicker."""
 
 
 @dataclass(frozen=True)
@@ -448,6 +471,7 @@ class ScanSettings:
     limbs: LimbSettings = LimbSettings()
     surface: SurfaceSettings = SurfaceSettings()
     clothes: ClothesSettings = CLOTHES["none"]
+    hair: HairSettings = HairSettings()
     colours: ScanColourSettings = ScanColourSettings()
 
 
