@@ -231,6 +231,7 @@ def scan_metrics(fit: "ScanFit") -> dict[str, Any]:
         "self_intersections": dict(fit.cuts),
         "observed_fraction": fit.seen,
         "cloth_to_skin_mm": {region: 1e3 * each for region, each in fit.cloth.items()},
+        "hair_mm": 0.0 if fit.hair is None else float(1e3 * fit.hair.max()),
         "betas": fit.betas.tolist(),
         "pose_distance": fit.pose_distance,
         "up_axis": fit.up_axis,

@@ -168,13 +168,19 @@ class ScanFitter:
         if self.previous is not None:
             mean = thickness + self.previous.offset
             return OffsetPrior(mean, self.settings.offset_change * spread)
-        if self.settings.clothes.covers_hair:
-            return OffsetPrior(thickness, spread)
-        hair = self.scalp * np.median([self._hair(state, k, x) for k, x in enumerate(clouds)])
+        hair = self.hair(state, clouds)
         return OffsetPrior(thickness + hair, np.hypot(spread, hair))
 
-    def _hair(self, state: BodyState, k: int, cloud: Cloud) -> float:
-        """The thickness (m) of hair in scan k."""
+    def hair(self, state: BodyState, clouds: Sequence[Cloud]) -> Float[np.ndarray, " V"]:
+        """The thickness (m) of hair over the model: that of the median scan; 0 where clothes
+        describe it.
+        """
+        if self.settings.clothes.covers_hair:
+            return np.zeros(self.body.num_vertices)
+        each = [self._hair_of(state, k, cloud) for k, cloud in enumerate(clouds)]
+        return self.scalp * np.median(each)
+
+    def _hair_of(self, state: BodyState, k: int, cloud: Cloud) -> float:
         few = cloud.first(self.settings.hair.points)
         found = self.matched(state, k, few)
         return hair_thickness(found, self._hairy(found), few.points, self.settings.hair)
@@ -300,7 +306,7 @@ class ScanFitter:
         correspondences = self.matched(state, k, cloud)
         weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
         corners = self.topology.faces[correspondences.face]
-        weight *= 1.0 - (1.0 - self.settings.hair.weight) * self._hairy(correspondences)
+        weight *= 1.0 - (1.0 - stage.hair) * self._hairy(correspondences)
         variance = stage.noise**2 / min(1.0, self.settings.effective_points / len(weight))
         weight *= self.clothes.factor(correspondences, corners, cloud.points, variance) / variance
         return PointObservations.to_planes(

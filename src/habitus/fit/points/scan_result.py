@@ -45,9 +45,9 @@ SCANNED_PEOPLE = PeopleLimits(
     above=Bound(0.15, np.inf), below=Bound(0.15, np.inf), proportions=Bound(5.5, np.inf), head=HEAD
 )
 """Measurements outside those of people are a doubt: clothes are measured, too. Their range is wider
-than a fit's that infers them: a surface on the scan measures it. Hair is measured with the head.
-Proportions: a scan stretched by 1.3 across lies at 6.7, one squeezed by 0.7 in depth at 6.3, six
-surfaces of people whom no body of ours made at 1.9 to 4.0."""
+than a fit's that infers them: a surface on the scan measures it. Less than 1 cm of hair is measured
+with the head. Proportions: a scan stretched by 1.3 across lies at 6.7, one squeezed by 0.7 in depth
+at 6.3, six surfaces of people whom no body of ours made at 1.9 to 4.0."""
 
 
 @dataclass(frozen=True)
@@ -316,7 +316,8 @@ class ScanFit:
     the joint of trunk, limbs and head that is furthest from the prior's mean by itself, and
     ``joint_deviation`` how far, in its standard deviations. ``covered`` (V,): 1 where loose clothes
     or hair may hang off the skin, which is estimated there (None: nowhere); ``cloth``: by region,
-    how far (m, median) the scan is off it.
+    how far (m, median) the scan is off it. ``hair`` (V,): thickness (m) of the hair that is part of
+    the surface (None: there is none, or less than 1 cm).
     """
 
     scan_name: str
@@ -353,6 +354,7 @@ class ScanFit:
     joint_deviation: float = 0.0
     rarest_joint: str = ""
     covered: Float[np.ndarray, " V"] | None = None
+    hair: Float[np.ndarray, " V"] | None = None
     cloth: Mapping[str, float] = field(default_factory=dict)
     limbs: Mapping[str, LimbAgreement] = field(default_factory=dict)
     """By joint (`LIMBS`), where a person has three scans or more (`limbs_compared`)."""
@@ -390,17 +392,24 @@ class ScanFit:
         return float(self._shown[rows].mean()) if rows.any() else 1.0
 
     @cached_property
+    def skin_at_rest(self) -> Float[np.ndarray, "V 3"]:
+        """The free surface carried back to rest (m); under hair, which hides the skin, the model's."""
+        if self.hair is None:
+            return self.rest_vertices
+        covered = np.minimum(2.0 * self.hair / self.hair.max(), 1.0)[:, None]
+        model = np.asarray(self.body.rest_vertices(self.betas))
+        return (1.0 - covered) * self.rest_vertices + covered * model
+
+    @cached_property
     def measurements(self) -> Mapping[str, float]:
-        """What the person measures, on the free surface carried back to rest; {} for a body that is
-        no person's.
-        """
-        return self.body.measure_rest(self.rest_vertices)
+        """What the person measures, on the skin at rest; {} for a body that is no person's."""
+        return self.body.measure_rest(self.skin_at_rest)
 
     @cached_property
     def skin_offset(self) -> Float[np.ndarray, " V"]:
-        """How far (m) the surface at rest lies outwards of the model, along the model's normals."""
+        """How far (m) the skin at rest lies outwards of the model, along the model's normals."""
         model = np.asarray(self.body.rest_vertices(self.betas))
-        return ((self.rest_vertices - model) * vertex_normals(model, self.body.faces)).sum(1)
+        return ((self.skin_at_rest - model) * vertex_normals(model, self.body.faces)).sum(1)
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -408,6 +417,12 @@ class ScanFit:
         sentence each.
         """
         return judge_scan(self)
+
+
+def hair_notes(hair: Float[np.ndarray, " V"]) -> tuple[str, ...]:
+    """What to tell the user of hair of a thickness (m)."""
+    cm = 100.0 * hair.max()
+    return (f"the hair is about {cm:.0f} cm thick; height and head are measured without it",)
 
 
 def limbs_compared(fits: Sequence[ScanFit]) -> list[ScanFit]:

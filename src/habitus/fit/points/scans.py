@@ -43,7 +43,7 @@ from habitus.fit.points.limbs import (
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_around
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
-from habitus.fit.points.scan_result import LIMITS, ScanFit, at_rest, limbs_compared
+from habitus.fit.points.scan_result import LIMITS, ScanFit, at_rest, hair_notes, limbs_compared
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import carried, extended, joined
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
@@ -191,7 +191,7 @@ class Registrar:
             fitted = best._limbs_searched(fitted)
         fits = limbs_compared([best._result(scan) for scan in fitted])
         return [
-            replace(fit, notes=_notes(scan, True, self, best))
+            replace(fit, notes=(*_notes(scan, True, self, best), *fit.notes))
             for scan, fit in zip(scans, fits, strict=True)
         ]
 
@@ -249,7 +249,8 @@ class Registrar:
         cloud = turned(scan, best.turn)[1]
         state = with_extremities(self.fitter, best.state, self._oriented(best.state, cloud))
         cloud = self._oriented(state, cloud)
-        state = self.fitter.fit(state, [cloud], settings.stages[1:])
+        placed = [replace(stage, hair=settings.hair.weight) for stage in settings.stages[1:]]
+        state = self.fitter.fit(state, [cloud], placed)
         best = replace(best, state=with_usual_joints(self.guesser(), state, cloud))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         rivals = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
@@ -426,6 +427,8 @@ class Registrar:
         bent[extremities(self.body)] = 0.0
         rarest = int(bent.argmax())
         skin = along_normals(scan.surface, -clothes.thickness, self.body)
+        hair = self.fitter.hair(state, [scan.cloud])
+        grown = scan.person and hair.max() >= self.settings.hair.least
         deviation = self.fitter.prior.whitening @ (
             state.pose[0, 1:].ravel() - self.fitter.prior.mean
         )
@@ -442,6 +445,8 @@ class Registrar:
             weights=(1.0 - clothes.covered)
             * vertex_weights(topology, scan.surface, scan.cloud, self.settings.surface),
             covered=clothes.covered,
+            hair=hair if grown else None,
+            notes=hair_notes(hair) if grown else (),
             cloud=scan.cloud,
             **compared(self.fitter, scan.cloud, scan.surface, model),
             rival=scan.start.rival,
