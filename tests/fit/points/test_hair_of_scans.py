@@ -30,6 +30,6 @@ def test_height_and_head_are_measured_under_the_hair():
     assert scan_metrics(surface)["hair_mm"] == 0.0
 
 
-def test_the_user_is_told_how_thick_the_hair_is():
+def test_a_note_says_how_thick_the_hair_is():
     (note,) = hair_notes(np.array([0.0, 0.021]))
     assert "2 cm" in note and "without it" in note

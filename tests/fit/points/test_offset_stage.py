@@ -225,7 +225,7 @@ def test_the_head_does_not_grow_into_the_hair(fitter):
     """The model's face stays where it is, and the surface is that of the hair."""
     truth = a_state(fitter, 2)
     cloud = with_hair(fitter, truth, 0.04)
-    hairless = replace(fitter, settings=replace(fitter.settings, hair=HairSettings(line=9.0)))
+    hairless = replace(fitter, settings=replace(fitter.settings, hair=HairSettings(hairline=9.0)))
     assert not hairless.scalp.any()
     whole = replace(STEP, betas=fitter.body.num_betas)
     names = fitter.body.joint_names

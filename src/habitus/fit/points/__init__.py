@@ -41,7 +41,9 @@ of these terms is ours). Numbers are those of `ScanSettings.stages` and `.offset
     colour  spread of tones, at most 1500 points   colours                 place along the skin
 
 In "offset" all N points count in full, as neither the cap of 1500 nor `slide` applies: what points
-have in common the offset explains. In the last stage each point of a scan of few has less noise
+have in common the offset explains. On the scalp h0 and the standard deviation of h are the measured
+thickness of hair, and points there weigh `HairSettings.weight` in "points" once the pose is known
+(`clothes`). In the last stage each point of a scan of few has less noise
 (`ScanStage.noise_of`). Free surface (`free_surface`, thesis sec. 5.4): a thin plate,
 weights `SurfaceStage.stiffness` (mu) and `SurfaceSettings`.
 

@@ -109,6 +109,6 @@ def hair_thickness(
     """The median distance (m) of a scan outside a model's scalp; 0 if the scan is inside or shows
     no scalp. scalp: how much hair may grow at each point's correspondence, 0..1.
     """
-    counted = (scalp > settings.grown) & (correspondences.distances(points) < settings.thickest)
-    outside = correspondences.outside(points)[counted]
+    near = correspondences.distances(points) < settings.most_thickness
+    outside = correspondences.outside(points)[near & (scalp > settings.least_scalp)]
     return max(0.0, float(np.median(outside))) if len(outside) else 0.0

@@ -126,7 +126,7 @@ class ScanFitter:
     @cached_property
     def scalp(self) -> Float[np.ndarray, " V"]:
         """1 where hair may grow, 0 elsewhere."""
-        return scalp(self.body, self.settings.hair.line)
+        return scalp(self.body, self.settings.hair.hairline)
 
     @property
     def body(self) -> BodyModel:
@@ -183,13 +183,13 @@ class ScanFitter:
     def _hair_of(self, state: BodyState, k: int, cloud: Cloud) -> float:
         few = cloud.first(self.settings.hair.points)
         found = self.matched(state, k, few)
-        return hair_thickness(found, self._hairy(found), few.points, self.settings.hair)
+        return hair_thickness(found, self._scalp_at(found), few.points, self.settings.hair)
 
-    def _hairy(self, correspondences: Correspondences) -> Float[np.ndarray, " N"]:
+    def _scalp_at(self, correspondences: Correspondences) -> Float[np.ndarray, " N"]:
         """How much hair may grow at each correspondence, 0..1."""
         corners = self.topology.faces[correspondences.face]
-        hairy = (self.scalp[corners] * correspondences.barycentric).sum(1)
-        return np.minimum(hairy, 1.0)  # rounding
+        share = (self.scalp[corners] * correspondences.barycentric).sum(1)
+        return np.minimum(share, 1.0)  # beyond 1 by rounding
 
     def fit(
         self, state: BodyState, clouds: Sequence[Cloud], schedule: Sequence[ScanStage]
@@ -306,7 +306,7 @@ class ScanFitter:
         correspondences = self.matched(state, k, cloud)
         weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
         corners = self.topology.faces[correspondences.face]
-        weight *= 1.0 - (1.0 - stage.hair) * self._hairy(correspondences)
+        weight *= 1.0 - (1.0 - stage.hair) * self._scalp_at(correspondences)
         variance = stage.noise**2 / min(1.0, self.settings.effective_points / len(weight))
         weight *= self.clothes.factor(correspondences, corners, cloud.points, variance) / variance
         return PointObservations.to_planes(

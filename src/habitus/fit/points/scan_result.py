@@ -393,7 +393,7 @@ class ScanFit:
 
     @cached_property
     def skin_at_rest(self) -> Float[np.ndarray, "V 3"]:
-        """The free surface carried back to rest (m); under hair, which hides the skin, the model's."""
+        """The free surface carried back to rest (m), but the model where hair hides the skin."""
         if self.hair is None:
             return self.rest_vertices
         covered = np.minimum(2.0 * self.hair / self.hair.max(), 1.0)[:, None]
@@ -420,7 +420,7 @@ class ScanFit:
 
 
 def hair_notes(hair: Float[np.ndarray, " V"]) -> tuple[str, ...]:
-    """What to tell the user of hair of a thickness (m)."""
+    """The note about hair of a thickness (m)."""
     cm = 100.0 * hair.max()
     return (f"the hair is about {cm:.0f} cm thick; height and head are measured without it",)
 

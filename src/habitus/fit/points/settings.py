@@ -42,9 +42,9 @@ class ScanStage(Stage):
     scan has: neighbouring points have finer forms of the skin in common, so that each of few
     determines more. Infinite: it does not fall."""
     hair: float = 1.0
-    """Factor of the weight of points where hair may grow, without skin offsets. With all of it the
-    head grows until it fills the hair; with less, of a sparse scan that is not yet placed, a person
-    who faces backwards may fit better."""
+    """Factor of the weight of points where hair may grow, without skin offsets. At 1 the head grows
+    until it fills the hair; below 1, before the pose is known, a sparse scan may fit better
+    backwards."""
     own_offsets: float = 1.0
     """Sd of the skin offsets that each scan of a person has by itself, in that of all; what remains
     is one field that all scans of the person share. 1: they share none."""
@@ -400,18 +400,18 @@ class HairSettings:
     seven people of benchmarks/wide_people.py.
     """
 
-    line: float = 0.3
+    hairline: float = 0.3
     """Share of the way from the head's joint to its top from which hair may grow in front."""
     weight: float = 0.01
-    """`ScanStage.hair` once it is known how the person stands."""
+    """`ScanStage.hair` once the pose is known."""
     points: int = 10_000
-    """Of a scan from which the hair's thickness is measured, at most."""
-    grown: float = 0.9
-    """How much hair must be possible at a point for that, 0..1."""
-    thickest: float = 0.08
-    """No hair is thicker."""
-    least: float = 0.01
-    """From which thickness on the person is measured without it."""
+    """Of a scan from which the thickness is measured, at most:"""
+    least_scalp: float = 0.9
+    """those where hair may grow so surely (0..1)."""
+    most_thickness: float = 0.08
+    """Points further from the model are no hair."""
+    least_thickness: float = 0.01
+    """Thicker hair is reported, and the person measured under it."""
 
 
 @dataclass(frozen=True)
