@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from page_samples import registered
 from scipy.spatial import KDTree
 
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_result import LIMBS, LIMITS, ScanFit, limbs_compared
+from habitus.fit.points.scan_result import LIMBS, LIMITS, ScanFit, judge_scan, limbs_compared
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
 from habitus.rotations import matrix_from_rotvec
@@ -83,3 +84,14 @@ def test_limbs_that_are_not_seen_and_people_with_two_scans_are_not_compared():
     fits = limbs_compared([scan(off, hidden), scan(off), nobody, scan(off)])
     assert "left_elbow" not in fits[0].limbs and "left_knee" in fits[0].limbs
     assert not fits[2].limbs and fits[1].limbs["left_elbow"].correlation > 0.99
+
+
+@pytest.mark.parametrize(("degrees", "crossed"), [(0.0, False), (-4.0, False), (11.0, True)])
+def test_lower_legs_that_pass_through_each_other_are_a_doubt(degrees, crossed):
+    pose = np.zeros((BODY.num_joints, 3))
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        pose[BODY.joint_names.index(f"{side}_hip"), 2] = sign * np.radians(degrees)
+    surface = np.asarray(BODY(pose=pose).vertices)
+    fit = replace(registered("legs"), vertices=surface)
+    assert (fit.crossed_legs > LIMITS.legs.doubtful) == crossed
+    assert any("lower legs" in each for each in judge_scan(fit).reasons) == crossed
