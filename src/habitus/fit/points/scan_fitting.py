@@ -21,12 +21,11 @@ thigh.
 
 betas0 are 0 and theta0 is the prior's mean; h0 is 0, but on the scalp the thickness of hair, and
 under tight clothes theirs (`habitus.fit.points.clothes`, which also says what loose clothes and
-hair do to w_p). Several scans of a person share h0 where `ScanStage.own_offsets`, a, is below 1:
-h0 ~ N(0, (1 - a^2) Q^-1) more is renewed before each step from all h (`shared_offset`), and each h
-lies about it with precision Q / a^2. In a sequence all three are those of the frame before,
-lambda_shape is divided by `shape_change`^2 and Q by `offset_change`^2. lambda_shape and
-lambda_pose are `ScanStage.shape` and `.pose`; s is
-`ScanStage.slide`.
+hair do to w_p). Several scans of a person share h0 where `ScanStage.own_offsets`, a, is below 1: a
+sample of N(0, (1 - a^2) Q^-1) is added to it, estimated before each step from all h
+(`shared_offset`), and each h lies about the sum with precision Q / a^2. In a sequence all three are
+those of the frame before, lambda_shape is divided by `shape_change`^2 and Q by `offset_change`^2.
+lambda_shape and lambda_pose are `ScanStage.shape` and `.pose`; s is `ScanStage.slide`.
 """
 
 from collections.abc import Mapping, Sequence
