@@ -231,6 +231,7 @@ def test_the_verdict_follows_the_numbers():
         "person": True,
         "lost_part": "body",
         "cuts": {"body": 3, "head": 20},
+        "crossed_legs": 20,
         "limbs": {},
         "islands": 0.02,
         "head_seen": 0.9,
@@ -249,7 +250,7 @@ def test_the_verdict_follows_the_numbers():
         ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"),
         ({"head_seen": 0.1}, "doubtful"), ({"points": 5000.0}, "doubtful"),
         ({"joint_deviation": 7.0}, "doubtful"), ({"unlike": 0.03}, "doubtful"),
-        ({"clothed": 0.5}, "doubtful"),
+        ({"clothed": 0.5}, "doubtful"), ({"crossed_legs": 200}, "doubtful"),
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
@@ -283,7 +284,7 @@ def scan_evidence(**changes):
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
     good |= {"joint_deviation": 3.0, "unlike": 0.0, "rarest_joint": "neck"}
-    good |= {"points": 40_000, "clothed": 0.0}
+    good |= {"points": 40_000, "clothed": 0.0, "crossed_legs": 0}
     good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "measurements": {}}
     good |= {"body": SimpleNamespace(age=None, v_template=np.zeros((2, 3)))}
     return SimpleNamespace(**(good | changes))

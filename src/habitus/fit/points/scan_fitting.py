@@ -171,13 +171,13 @@ class ScanFitter:
         return OffsetPrior(thickness + hair, np.hypot(spread, hair))
 
     def hair(self, state: BodyState, clouds: Sequence[Cloud]) -> Float[np.ndarray, " V"]:
-        """The thickness (m) of hair over the model: that of the median scan; 0 where clothes
-        describe it.
+        """The thickness (m) of hair over the model: that of the median scan; 0 below
+        `HairSettings.least_thickness`, and where clothes describe it.
         """
         if self.settings.clothes.covers_hair:
             return np.zeros(self.body.num_vertices)
-        each = [self._hair_of(state, k, cloud) for k, cloud in enumerate(clouds)]
-        return self.scalp * np.median(each)
+        thickness = np.median([self._hair_of(state, k, cloud) for k, cloud in enumerate(clouds)])
+        return self.scalp * (thickness if thickness >= self.settings.hair.least_thickness else 0.0)
 
     def _hair_of(self, state: BodyState, k: int, cloud: Cloud) -> float:
         few = cloud.first(self.settings.hair.points)

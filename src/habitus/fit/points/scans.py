@@ -428,7 +428,7 @@ class Registrar:
         rarest = int(bent.argmax())
         skin = along_normals(scan.surface, -clothes.thickness, self.body)
         hair = self.fitter.hair(state, [scan.cloud])
-        grown = scan.person and hair.max() >= self.settings.hair.least_thickness
+        grown = scan.person and hair.any()
         deviation = self.fitter.prior.whitening @ (
             state.pose[0, 1:].ravel() - self.fitter.prior.mean
         )

@@ -411,7 +411,8 @@ class HairSettings:
     most_thickness: float = 0.08
     """Points further from the model are no hair."""
     least_thickness: float = 0.01
-    """Thicker hair is reported, and the person measured under it."""
+    """Thinner hair counts as none: models that measure some of it on bald people differ by as much.
+    """
 
 
 @dataclass(frozen=True)
