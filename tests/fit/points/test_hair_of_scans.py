@@ -7,6 +7,7 @@ import pytest
 from page_samples import registered
 
 from habitus.fit.points.scan_result import hair_notes
+from habitus.fit.points.settings import SCANS
 from habitus.fit.points.skin_offsets import scalp
 from habitus.mesh.normals import vertex_normals
 from habitus.results.save import scan_metrics
@@ -16,7 +17,7 @@ def test_height_and_head_are_measured_under_the_hair():
     bald = registered("bald")
     model = bald.model_vertices
     bald = replace(bald, vertices=model, rest_vertices=model)
-    hair = 0.04 * scalp(bald.body, 0.3)
+    hair = 0.04 * scalp(bald.body, SCANS.hair.hairline)
     grown = model + hair[:, None] * vertex_normals(model, bald.body.faces)
     surface = replace(bald, vertices=grown, rest_vertices=grown)
     known = replace(surface, hair=hair)

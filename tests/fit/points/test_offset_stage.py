@@ -235,7 +235,7 @@ def test_the_head_does_not_grow_into_the_hair(fitter):
     face = (fitter.body.strongest_joint == names.index("head")) & (fitter.scalp == 0.0)
     error = {}
     for name, one in (("hair", fitter), ("none", hairless)):
-        light = replace(whole, noise=0.005, hair=one.settings.hair.weight)
+        light = replace(whole, noise=0.005, scalp_weight=one.settings.hair.weight)
         fit = one.fit_with_offsets(one.fit(truth, [cloud], (light,)), [cloud], (whole,))
         apart = fitter.vertices(fit.state) - fitter.vertices(truth)
         error[name] = np.linalg.norm(apart[face], axis=1).mean()

@@ -19,12 +19,12 @@ and eliminated from each step exactly (variable projection, Golub and Pereyra 19
 then follow what a smooth offset cannot explain, the form of a knee sooner than the girth of a
 thigh.
 
-betas0 are 0 and theta0 is the prior's mean; h0 is 0, but on the scalp the thickness of hair, and
-under tight clothes theirs (`habitus.fit.points.clothes`, which also says what loose clothes and
-hair do to w_p). Several scans of a person share h0 where `ScanStage.own_offsets`, a, is below 1: a
-sample of N(0, (1 - a^2) Q^-1) is added to it, estimated before each step from all h
-(`shared_offset`), and each h lies about the sum with precision Q / a^2. In a sequence all three are
-those of the frame before, lambda_shape is divided by `shape_change`^2 and Q by `offset_change`^2.
+betas0 are 0 and theta0 is the prior's mean. h0 is m0: the thickness of tight clothes and of hair
+(`habitus.fit.points.clothes`, also for the weights w_p under loose clothes and of hair), 0
+elsewhere. Several scans of a person share h0 where `ScanStage.own_offsets`, a, is below 1:
+h0 ~ N(m0, (1 - a^2) Q^-1) is renewed before each step from all h (`shared_offset`), and each h lies
+about it with precision Q / a^2. In a sequence all three are those of the frame before,
+lambda_shape is divided by `shape_change`^2 and Q by `offset_change`^2.
 lambda_shape and lambda_pose are `ScanStage.shape` and `.pose`; s is `ScanStage.slide`.
 """
 
@@ -161,7 +161,9 @@ class ScanFitter:
         return replace(cloud, normals=agreed(cloud.normals, others, near))
 
     def offset_prior(self, state: BodyState, clouds: Sequence[Cloud]) -> OffsetPrior:
-        """The prior of skin offsets in a fit that starts at a state."""
+        """The prior of skin offsets in a fit that starts at a state, where hair is measured: its
+        thickness is both mean and standard deviation.
+        """
         spread = offset_spread(self.body, self.settings.offsets)
         thickness = self.clothes.thickness
         if self.previous is not None:
@@ -171,7 +173,7 @@ class ScanFitter:
         return OffsetPrior(thickness + hair, np.hypot(spread, hair))
 
     def hair(self, state: BodyState, clouds: Sequence[Cloud]) -> Float[np.ndarray, " V"]:
-        """The thickness (m) of hair over the model: that of the median scan; 0 below
+        """The thickness (V,; m) of hair over the model: that of the median scan; 0 below
         `HairSettings.least_thickness`, and where clothes describe it.
         """
         if self.settings.clothes.covers_hair:
@@ -305,7 +307,7 @@ class ScanFitter:
         correspondences = self.matched(state, k, cloud)
         weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
         corners = self.topology.faces[correspondences.face]
-        weight *= 1.0 - (1.0 - stage.hair) * self._scalp_at(correspondences)
+        weight *= 1.0 - (1.0 - stage.scalp_weight) * self._scalp_at(correspondences)
         variance = stage.noise**2 / min(1.0, self.settings.effective_points / len(weight))
         weight *= self.clothes.factor(correspondences, corners, cloud.points, variance) / variance
         return PointObservations.to_planes(

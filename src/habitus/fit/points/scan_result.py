@@ -114,7 +114,8 @@ class ScanLimits:
     are right: a doubt by part."""
     legs: Bound = Bound(60, np.inf)
     """Pairs of triangles in which one lower leg or foot cuts the other. By hand; 215 of a woman
-    whose legs were exchanged, 0 of 16 others; 23 where legs that touch are simulated."""
+    whose legs were exchanged, 23 in the simulated surface that she was scanned from; 0 of 17 other
+    fits (eight people of benchmarks/wide_people.py)."""
     cuts_head: Bound = Bound(40, np.inf)
     """The same of the head: ears and hair cut themselves in surfaces that are right within 1 mm. By
     hand; 0 to 55 at right heads."""
@@ -412,7 +413,9 @@ class ScanFit:
 
     @cached_property
     def skin_at_rest(self) -> Float[np.ndarray, "V 3"]:
-        """The free surface carried back to rest (m), but the model where hair hides the skin."""
+        """The free surface carried back to rest (m), but the model where hair hides the skin, from
+        half of its thickness on.
+        """
         if self.hair is None:
             return self.rest_vertices
         covered = np.minimum(2.0 * self.hair / self.hair.max(), 1.0)[:, None]

@@ -249,7 +249,7 @@ class Registrar:
         cloud = turned(scan, best.turn)[1]
         state = with_extremities(self.fitter, best.state, self._oriented(best.state, cloud))
         cloud = self._oriented(state, cloud)
-        placed = [replace(stage, hair=settings.hair.weight) for stage in settings.stages[1:]]
+        placed = [replace(each, scalp_weight=settings.hair.weight) for each in settings.stages[1:]]
         state = self.fitter.fit(state, [cloud], placed)
         best = replace(best, state=with_usual_joints(self.guesser(), state, cloud))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]

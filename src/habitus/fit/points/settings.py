@@ -41,7 +41,7 @@ class ScanStage(Stage):
     """Metres, down to which the noise falls with the square root of the share of ``points`` that a
     scan has: neighbouring points have finer forms of the skin in common, so that each of few
     determines more. Infinite: it does not fall."""
-    hair: float = 1.0
+    scalp_weight: float = 1.0
     """Factor of the weight of points where hair may grow, without skin offsets. At 1 the head grows
     until it fills the hair; below 1, before the pose is known, a sparse scan may fit better
     backwards."""
@@ -403,7 +403,7 @@ class HairSettings:
     hairline: float = 0.3
     """Share of the way from the head's joint to its top from which hair may grow in front."""
     weight: float = 0.01
-    """`ScanStage.hair` once the pose is known."""
+    """`ScanStage.scalp_weight` once the pose is known."""
     points: int = 10_000
     """Of a scan from which the thickness is measured, at most:"""
     least_scalp: float = 0.9
