@@ -90,7 +90,7 @@ def person_rows(path: Path, options: argparse.Namespace) -> list[dict]:
         scanner = Scanner(options.points, sides=SIDES)
         scans.append(scanned(foreign, source.faces, scanner, rng, name))
     began = time.perf_counter()
-    fits = hb.register_scans(scans, body)
+    fits = hb.register_scans(scans)
     seconds = (time.perf_counter() - began) / len(scans)
     template = body.rest_vertices(np.zeros(body.num_betas))
     parts = strongest(body)

@@ -14,6 +14,7 @@ from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours
 from habitus.fit.points.scan_result import ScanFit
+from habitus.fit.points.scan_states import simpler
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import CLOTHES, SCANS, ScanSettings
 from habitus.io.models.bodies import SHIPPED, SHIPPED_BETAS, save_body
@@ -99,7 +100,7 @@ def register_scans(
         settings = options.settings or SCANS
         if options.clothes != "none":
             settings = replace(settings, clothes=CLOTHES[options.clothes])
-        registrar = made_ready(body, options.age, settings)
+        registrar = made_ready(body, options.age, settings, staged=not options.coregister)
         with one_blas_thread():
             fits, trained = _registered(registrar, people, options, progress)
             if options.texture:
@@ -133,8 +134,7 @@ def _registered(
     """The fits of all scans, and the body that was trained on them (None: none was)."""
     asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
     if options.coregister:
-        one_body = replace(registrar, others=(), detailed=None)
-        done = coregistered(one_body, people, asked, progress)
+        done = coregistered(replace(registrar, others=()), people, asked, progress)
         return [fit for each in done.fits.values() for fit in each], done.body
     run = _in_time if options.sequence else _together
     return [fit for each in people.values() for fit in run(registrar, each, asked, progress)], None
@@ -158,23 +158,30 @@ def made_ready(
     body: BodyModel | PathLike = "default",
     age: float | None = None,
     settings: ScanSettings = SCANS,
+    *,
+    staged: bool = True,
 ) -> Registrar:
     """A body prepared for registration; of "default" women's and men's, too, whichever explains
-    scans best. Bodies by name end with finger joints and all their betas.
+    scans best.
+
+    With ``staged``, a body that has finger joints or more betas than `load_body` gives by default
+    is sought without them, and bodies by name end with all of theirs: a search with all of them
+    bends rare shapes towards wrong poses.
     """
 
     def ready(one: BodyModel | PathLike) -> Registrar:
         model = loaded(one, age=age)
-        registrar = Registrar.of(model, prior_of(model), settings)
-        if not isinstance(one, str) or one not in SHIPPED:
-            return registrar
+        by_name = isinstance(one, str) and one in SHIPPED
+        if not staged or (not by_name and simpler(model) is model):
+            return Registrar.of(model, prior_of(model), settings)
 
         @cache
         def detailed() -> Registrar:
-            model = loaded(one, "smplh", age, SHIPPED_BETAS)
-            return Registrar.of(model, prior_of(model), settings)
+            whole = loaded(one, "smplh", age, SHIPPED_BETAS) if by_name else model
+            return Registrar.of(whole, prior_of(whole), settings)
 
-        return replace(registrar, detailed=detailed)
+        first = simpler(model)
+        return replace(Registrar.of(first, prior_of(first), settings), detailed=detailed)
 
     others = SEXES if isinstance(body, str) and body == "default" else ()
     return replace(ready(body), others=tuple(map(ready, others)))

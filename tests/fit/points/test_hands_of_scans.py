@@ -11,7 +11,7 @@ from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
 from habitus.fit.points.limbs import with_hands
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_states import extended
+from habitus.fit.points.scan_states import SEARCH_BETAS, extended
 from habitus.fit.points.scans import Registrar
 from habitus.io.models.bodies import SHIPPED_BETAS, load_body
 from habitus.jobs.register import made_ready
@@ -103,3 +103,15 @@ def test_bodies_by_name_end_with_fingers_and_all_betas_and_are_found_again():
     assert registrar.detailed().body.num_betas == SHIPPED_BETAS > registrar.body.num_betas
     assert registrar.detailed() is registrar.detailed()
     assert made_ready(load_body("female")).detailed is None
+    assert made_ready("female", staged=False).detailed is None
+
+
+def test_a_given_body_in_all_detail_is_sought_without_it_and_found_again():
+    given = load_body("female", joints="smplh", num_betas=SHIPPED_BETAS)
+    registrar = made_ready(given)
+    assert registrar.detailed().body is given
+    searched = registrar.body
+    assert searched.num_betas == SEARCH_BETAS and not has_hands(searched)
+    betas = np.random.default_rng(0).normal(size=SEARCH_BETAS)
+    np.testing.assert_allclose(searched.rest_vertices(betas), given.rest_vertices(betas), atol=1e-9)
+    assert made_ready(given, staged=False).body is given

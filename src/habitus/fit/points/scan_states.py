@@ -5,11 +5,25 @@ from dataclasses import replace
 
 import numpy as np
 
+from habitus.body.joint_layouts import LAYOUTS
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
 from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.rotations import matrix_from_rotvec
+
+SEARCH_BETAS = 24
+"""The most betas of a search for a pose from nothing."""
+
+
+def simpler(body: BodyModel) -> BodyModel:
+    """The body as a pose is sought with it: without finger joints and with its first
+    `SEARCH_BETAS` betas only; itself where it has no more.
+    """
+    if {*LAYOUTS["smplh"].joint_names} <= {*body.joint_names}:
+        body = body.with_joints("smpl")
+    betas = max(SEARCH_BETAS, body.shape_features)
+    return body.with_betas(betas) if body.num_betas > betas else body
 
 
 def joined(states: Sequence[BodyState]) -> BodyState:
