@@ -164,9 +164,9 @@ def made_ready(
     """A body prepared for registration; of "default" women's and men's, too, whichever explains
     scans best.
 
-    With ``staged``, a body that has finger joints or more betas than `load_body` gives by default
-    is sought without them, and bodies by name end with all of theirs: a search with all of them
-    bends rare shapes towards wrong poses.
+    With ``staged``, bodies by name end with finger joints and all their betas, and a body that is
+    given with them is only then fitted in them: poses are sought, and the first stages run, without
+    (`simpler`).
     """
 
     def ready(one: BodyModel | PathLike) -> Registrar:

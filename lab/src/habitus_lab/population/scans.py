@@ -113,7 +113,7 @@ def posed_near(
     joint_names: Sequence[str],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "J 3"]:
-    """A pose (rad) near rotations as in `STANCES`, looking anywhere."""
+    """A pose (rad) near rotations as in `STANCES`; where these have no root, looking anywhere."""
     pose = np.zeros((len(joint_names), 3))
     off = JITTER * rng.normal(size=(len(joint_names), 3))
     for k, joint in enumerate(joint_names):
@@ -121,7 +121,8 @@ def posed_near(
         turn = angles.get(joint, angles.get(part if side else joint, (0.0, 0.0, 0.0)))
         mirrored = side == "right" and joint not in angles
         pose[k] = np.array(turn) * ((1.0, -1.0, -1.0) if mirrored else (1.0, 1.0, 1.0)) + off[k]
-    pose[0] = 0.0, rng.uniform(-np.pi, np.pi), 0.0
+    if joint_names[0] not in angles:
+        pose[0] = 0.0, rng.uniform(-np.pi, np.pi), 0.0
     return pose
 
 

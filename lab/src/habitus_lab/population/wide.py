@@ -53,13 +53,18 @@ class WidePerson:
     pose: Float[np.ndarray, "J 3"]
 
 
-def wide_person(body: BodyModel, stance: str, rng: np.random.Generator) -> WidePerson:
-    """A random person in a stance (`WIDE_STANCES`), with hands of their own. The body needs finger
-    joints.
+def wide_person(
+    body: BodyModel,
+    stance: str,
+    rng: np.random.Generator,
+    angles: Mapping[str, tuple[float, float, float]] | None = None,
+) -> WidePerson:
+    """A random person in a stance (`WIDE_STANCES`, or one of these ``angles``, rad), with hands of
+    their own. The body needs finger joints.
     """
     names = body.joint_names
     betas = wide_betas(body, rng)
-    pose = posed_near(WIDE_STANCES[stance], names, rng)
+    pose = posed_near(WIDE_STANCES[stance] if angles is None else angles, names, rng)
     hands = tuple(str(rng.choice(list(HAND_POSES))) for _ in SIDES)
     for side, grip in zip(SIDES, hands, strict=True):
         for joint, rotation in hand_pose(body, grip, (side,)).items():

@@ -9,7 +9,8 @@ Where to begin: `scans` is the recipe for scans and `settings` holds its constan
     scan_fitting                                scan energy: points or skin offsets, priors, colours
     free_surface                                free surface of a scan about the fitted model
     scan_colours, skin_colours, skin_grid       texture shared by scans; places along the skin
-    scan, scan_start, limbs                     cleaning; multi-start search; lost limbs and hands
+    scan, scan_start, limb_ends, limbs          cleaning; multi-start search, also by the ends of
+                                                limbs; lost limbs and hands
     clothes                                     clothes and hair of a scan: weights, what hangs off
     scan_evidence, scan_result                  evidence; result and verdict of a scan fit
     depth_energy                                depth energy: all terms and their minimisation;

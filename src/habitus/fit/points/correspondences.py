@@ -151,6 +151,15 @@ def hidden_vertices(body: BodyModel) -> Bool[np.ndarray, " V"] | None:
     return ~(seen if full is body else seen[body.full_vertices])
 
 
+def corners_of(
+    faces: Int[np.ndarray, "F 3"], vertices: Int[np.ndarray, " N"]
+) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
+    """Vertices of a mesh as corners of its faces: a face of each, and which of its corners."""
+    order = np.argsort(faces.ravel(), kind="stable")
+    first = order[np.searchsorted(faces.ravel(), vertices, sorter=order)]
+    return first // 3, first % 3
+
+
 @dataclass(frozen=True, eq=False)
 class Footpads:
     """Vertices of the soles as points of the surface: face and corner of each, and how high (m)
@@ -168,11 +177,9 @@ class Footpads:
             used = find_soles(body).used
         except HabitusError:
             return None
-        order = np.argsort(body.faces.ravel(), kind="stable")
-        first = order[np.searchsorted(body.faces.ravel(), used, sorter=order)]
         mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
         rest = body.rest_vertices(mean)[:, 1]
-        return Footpads(first // 3, first % 3, rest[used] - rest[used].min())
+        return Footpads(*corners_of(body.faces, used), rest[used] - rest[used].min())
 
     def on_floor(
         self, surface: Float[np.ndarray, "V 3"], body: BodyModel, settings: RgbdSettings

@@ -22,10 +22,11 @@ from habitus.fit.offsets import factored, field_precision
 from habitus.fit.points.correspondences import Topology, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, uncut
 from habitus.fit.points.scan import Cloud, Scan
+from habitus.fit.points.scan_colour_settings import ScanColourSettings
 from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.scan_result import ScanColours, ScanFit, at_rest
 from habitus.fit.points.scans import Registrar, compared
-from habitus.fit.points.settings import SCANS, ScanColourSettings, ScanSettings
+from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.fit.points.skin_colours import (
     ColourCloud,
     ColourMatch,

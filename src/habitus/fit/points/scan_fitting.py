@@ -199,8 +199,8 @@ class ScanFitter:
 
         def terms_at(values: dict[str, Any], stage: ScanStage, step: int) -> dict[str, Term]:
             now = BodyState(**values)
-            points = [self._points(now, k, cloud, stage) for k, cloud in enumerate(clouds)]
-            return {"points": points_around(self.solver, now, points), **self._priors(stage)}
+            points = [self.points(now, k, cloud, stage) for k, cloud in enumerate(clouds)]
+            return {"points": points_around(self.solver, now, points), **self.priors(stage)}
 
         return self.minimized(terms_at, state, schedule).state
 
@@ -249,7 +249,7 @@ class ScanFitter:
                 )
                 for k, cloud in enumerate(clouds)
             ]
-            terms = {"offset": offset_term(scans), **self._priors(stage)}
+            terms = {"offset": offset_term(scans), **self.priors(stage)}
             if colours is not None:
                 terms["colour"] = points_term(self.solver, list(colours))
             return terms
@@ -289,7 +289,8 @@ class ScanFitter:
         correlated = self.settings.offsets.range
         return field_precision(self.topology.faces, model, spread, correlated, smoothness)
 
-    def _priors(self, stage: ScanStage) -> dict[str, Term]:
+    def priors(self, stage: ScanStage) -> dict[str, Term]:
+        """Those of shape and pose."""
         betas = np.zeros(self.body.num_betas)
         mean = np.concatenate([np.zeros(3), self.prior.mean])
         shape = stage.shape
@@ -300,9 +301,8 @@ class ScanFitter:
         precision = about_root(stage.pose * self.precision)
         return {"shape": shape_prior(betas, shape), "pose": pose_prior(mean, precision)}
 
-    def _points(
-        self, state: BodyState, k: int, cloud: Cloud, stage: ScanStage
-    ) -> PointObservations:
+    def points(self, state: BodyState, k: int, cloud: Cloud, stage: ScanStage) -> PointObservations:
+        """The points of scan k, drawn to the model as a stage has it."""
         cloud = cloud.first(stage.points)
         correspondences = self.matched(state, k, cloud)
         weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)

@@ -2,7 +2,8 @@
 
 Some hundred points against every pose of a bank in every heading, all scaled to the scan's size; of
 the best, each limb alone as all poses of the bank have it; Gauss-Newton; limbs and Gauss-Newton
-again. The score of a candidate is its misfit, metres:
+again. Where that leaves the scan unexplained, poses by the ends of its limbs (`limb_ends`) go the
+same way, then more of the bank. The score of a candidate is its misfit, metres:
 
     mean |scan - model| + a mean |model - scan|
     + c d (1/2 |betas|^2 + 1/2 (theta - mean)^T P (theta - mean))
@@ -14,7 +15,7 @@ the pose prior.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,6 +28,7 @@ from habitus.body.skinning import descends
 from habitus.body.state import BodyState
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.points.correspondences import NORMAL_DISTANCE, with_normals
+from habitus.fit.points.limb_ends import EndSearch
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.settings import SCANS, ScanStage, SearchSettings
@@ -117,6 +119,11 @@ class Guesser:
     whole: Sample
     limbs: tuple[Limb, ...]
     bank: Float[np.ndarray, "P J 3"]
+
+    @cached_property
+    def ends(self) -> EndSearch | None:
+        """What finds poses by the ends of the limbs; None for a body without such."""
+        return EndSearch.of(self.fitter, self.bank)
 
     @staticmethod
     def of(fitter: ScanFitter) -> "Guesser":
@@ -241,27 +248,60 @@ def find_start(
 ) -> list[Candidate]:
     """The best few states of a scan under the turns that bring it upright, the best first.
 
-    The best is tried facing the other way, too: with level arms front and back look alike. Where
-    none is what people's are, more poses and turns are tried.
+    The best is tried facing the other way, too: with level arms front and back look alike. Where it
+    is not near all of the scan, further poses are tried: by the ends of limbs, then more of the
+    bank.
     """
-    candidates = _search(guesser, cloud, turns, 1)
+    candidates = _improved(guesser, cloud, _scored(guesser, cloud, turns, 1))
     candidates = sorted(
         [*candidates, _about_face(guesser, cloud, candidates[0])], key=lambda one: one.misfit
     )
-    if candidates[0].misfit > guesser.settings.max_misfit:
-        candidates = sorted(
-            candidates + _search(guesser, cloud, turns, guesser.settings.widening),
-            key=lambda one: one.misfit,
-        )
+    for further in (_by_ends, _widely):
+        if _is_found(guesser, cloud, candidates[0]):
+            break
+        candidates += _improved(guesser, cloud, further(guesser, cloud, turns))
+        candidates.sort(key=lambda one: one.misfit)
     return candidates
 
 
-def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
-    """The same with ``wide`` times as many candidates."""
+def _is_found(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> bool:
+    """Whether a candidate is near the scan, and none of the scan far from it."""
     settings = guesser.settings
-    best = map_on_threads(
-        partial(_with_limbs, guesser, cloud), _scored(guesser, cloud, turns, wide)
-    )
+    if candidate.misfit > settings.max_misfit:
+        return False
+    turned = _turned(cloud, candidate.turn).first(settings.scan_points)
+    distances = guesser.fitter.distances(guesser.fitter.vertices(candidate.state), turned)
+    return bool((distances > settings.lost_distance).mean() <= settings.max_lost)
+
+
+def _by_ends(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate]:
+    """States that the ends of head, hands and feet tell, each under the turn in which its trunk is
+    most upright.
+    """
+    if guesser.ends is None:
+        return []
+    body = guesser.fitter.body
+    candidates = []
+    for state in guesser.ends.starts(cloud):
+        up = matrix_from_rotvec(state.pose[0, 0])[:, 1]
+        turn = turns[int(np.argmax(turns[:, 1] @ up))]
+        pose = state.pose.copy()
+        pose[0, 0] = rotvec_from_matrix(turn @ matrix_from_rotvec(pose[0, 0]))
+        root = body.rest_joints(state.betas)[0]
+        trans = turn @ (root + state.trans[0]) - root
+        candidates.append(Candidate(replace(state, pose=pose, trans=trans[None]), turn, np.inf))
+    return candidates
+
+
+def _widely(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate]:
+    """Every pose in every heading, with more of them kept."""
+    return _scored(guesser, cloud, turns, guesser.settings.widening)
+
+
+def _improved(guesser: Guesser, cloud: Cloud, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best few of some candidates, after all stages."""
+    settings = guesser.settings
+    best = map_on_threads(partial(_with_limbs, guesser, cloud), candidates)
     rough = map_on_threads(partial(_roughly, guesser, cloud), best)
     rough = _distinct(sorted(rough, key=lambda candidate: candidate.misfit))[: settings.refined]
     rough = [

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from habitus.fit.offsets import OFFSETS, OffsetSettings
+from habitus.fit.points.scan_colour_settings import SCAN_COLOURS, ScanColourSettings
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import Stage
 
@@ -128,7 +129,11 @@ class SearchSettings:
     refined: int = 3
     """Candidates that run through the ``fine`` stages, at most."""
     max_misfit: float = 0.07
-    """Metres: with a larger best misfit the search is repeated, wider. Sound fits lie below."""
+    """Metres: with a larger best misfit further candidates are tried. Sound fits lie below."""
+    lost_distance: float = 0.1
+    """From the best candidate, beyond which a point of the scan is lost,"""
+    max_lost: float = 0.004
+    """and the share of lost points above which further candidates are tried: less than a hand."""
     widening: int = 2
     """Factor of ``checked``, ``same_pose``, ``same_heading`` and ``kept`` in the wider search."""
     arms_and_legs: int = 4
@@ -170,6 +175,46 @@ class SearchSettings:
     """Metres from the previous body within which such a point is close."""
     followed_share: float = 0.9
     """Share of these points that must be close."""
+
+
+@dataclass(frozen=True)
+class LimbEndSettings:
+    """Poses by the ends of the limbs (`habitus.fit.points.limb_ends`); lengths in metres. Chosen by
+    hand, tried on twenty people in poses of real motions (benchmarks/wide_people.py --motions).
+    """
+
+    points: int = 2500
+    """Of a scan, among which its ends are found."""
+    neighbours: int = 10
+    min_cosine: float = -0.2
+    """Between normals of neighbours on one surface: fronts of two limbs are not."""
+    sources: int = 60
+    """Points from which distances over the surface are averaged."""
+    reach: float = 0.22
+    """Over the surface from an end, within which it is the furthest point."""
+    most_ends: int = 8
+    middle_share: float = 0.05
+    """Share of the surface that is its middle,"""
+    middle_step: int = 20
+    """and every so many-eth vertex of the body's."""
+    namings: int = 24
+    """Ways to call ends head, hands and feet that are tried."""
+    missing_distance: float = 0.05
+    """Mean error (m) of the distances between ends that one which is not found counts for,"""
+    missing: float = 20.0
+    """and energy of its pose."""
+    kept: int = 8
+    """Starts, at most."""
+    end_sd: float = 0.03
+    """Of an end about its target: fists are shorter than hands."""
+    middle_sd: float = 0.06
+    stages: tuple[ScanStage, ...] = (ScanStage(8, points=0, scale=0.1, noise=0.03, betas=1),)
+    """With the ends alone,"""
+    cloud_stages: tuple[ScanStage, ...] = (
+        ScanStage(5, points=700, scale=0.3, noise=0.03, slide=0.5, betas=3),
+        ScanStage(4, points=700, scale=0.2, noise=0.03, slide=0.3, betas=3),
+    )
+    """and with all of the scan."""
 
 
 @dataclass(frozen=True)
@@ -290,67 +335,6 @@ class SurfaceSettings:
     """From a vertex within which a point of the scan covers it, however dense the scan is,"""
     covering_spacings: float = 2.0
     """and the same in median distances of the scan's points."""
-
-
-@dataclass(frozen=True)
-class ScanColourSettings:
-    """Agreement of the colours of several scans; chosen by benchmarks/register_textures.py. Metres,
-    linear light.
-    """
-
-    dark: float = 0.004
-    """Light below which all is black."""
-    noise: float = 0.008
-    """Sd of a camera's pixels."""
-    certain: float = 0.1
-    """Noise of a tone (logarithm of colour) at which its weight is a half."""
-    scale: float = 0.006
-    """Geman-McClure's, of coloured points from the surface."""
-    min_cosine: float = 0.4
-    smoothings: int = 3
-    """Times that the texture is averaged over neighbouring nodes."""
-    noise_weight: float = 0.1
-    """Weight of a coloured point from which on it counts for the noise of tones."""
-    outlier_spreads: float = 3.0
-    """Noises of tones off the texture at which a point weighs a quarter."""
-    light_rounds: int = 3
-    """Alternations of light and texture."""
-    light_ridge: float = 0.01
-    """Weight of no light at all against that of all points."""
-    gain_pieces: int = 2
-    """Pieces an edge of the grid for the gain (shadows, light from skin beside), which no harmonic
-    explains."""
-    gain_smoothings: int = 20
-    """Times that the gain is averaged over neighbouring nodes."""
-    passes: int = 2
-    """Passes of Barnes' scheme (1964): the first takes means around a node, each further one adds
-    means of what the ones before left."""
-    min_points: float = 0.1
-    """Coloured points a node from which on its tone counts."""
-    min_share: float = 0.6
-    """Coloured points a node, as a share of other scans', from which on its tone counts."""
-    compared: float = 0.5
-    """Confidence of a tone, 0..1, from which on it is compared with another scan's."""
-    grain: float = 22.0
-    """Pieces of the grid that share one independent tone after ``smoothings``; closer rows share
-    its weight."""
-    max_points: int = 200_000
-    pieces: int = 4
-    """Pieces an edge of the texture that is returned."""
-    slide_sd: float = 0.001
-    """Metres (sd) by which a surface slides along the skin beside the model's motion."""
-    slide_range: float = 0.12
-    """Metres at which the correlation of two such slides is 0.14."""
-    skin_slide_sd: float = 0.002
-    """Metres (sd) by which the model's skin slides on the person's, whatever its pose."""
-    effective_points: float = 1500.0
-    """All coloured points of a scan count as so many for the model."""
-    model_points: int = 15_000
-    surface_points: int = 60_000
-    coarse: tuple[int, ...] = (2, 4)
-    """Pieces an edge of the grids for pose and shape, pass by pass."""
-    fine: tuple[int, ...] = (4, 4)
-    """Pieces an edge of the grids for surfaces, pass by pass."""
 
 
 @dataclass(frozen=True)
@@ -475,11 +459,12 @@ class ScanSettings:
     offsets: OffsetSettings = OFFSETS
     cleaning: CleaningSettings = CleaningSettings()
     search: SearchSettings = SearchSettings()
+    ends: LimbEndSettings = LimbEndSettings()
     limbs: LimbSettings = LimbSettings()
     surface: SurfaceSettings = SurfaceSettings()
     clothes: ClothesSettings = CLOTHES["none"]
     hair: HairSettings = HairSettings()
-    colours: ScanColourSettings = ScanColourSettings()
+    colours: ScanColourSettings = SCAN_COLOURS
 
 
 SCANS = ScanSettings()

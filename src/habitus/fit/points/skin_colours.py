@@ -19,7 +19,8 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from habitus.fit.points.correspondences import Correspondences, Topology, find_correspondences
-from habitus.fit.points.settings import SCANS, ScanColourSettings
+from habitus.fit.points.scan_colour_settings import ScanColourSettings
+from habitus.fit.points.settings import SCANS
 from habitus.fit.points.skin_grid import SkinGrid
 from habitus.mesh.normals import face_normals
 from habitus.observe.light import harmonic_terms
