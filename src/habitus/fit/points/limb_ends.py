@@ -9,7 +9,7 @@ the whole scan while they hold. A limb that lies on the body has no end; one may
 
 from dataclasses import dataclass
 from itertools import combinations, permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,6 +25,7 @@ from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.settings import LimbEndSettings, ScanStage
 from habitus.mesh.normals import vertex_normals
+from habitus.parallel.workers import map_on_threads
 from habitus.residuals.points import PointObservations
 from habitus.rotations import matrix_from_rotvec, procrustes, rotvec_from_matrix
 from habitus.solve.terms import Term
@@ -105,6 +106,14 @@ def _graph(rows: np.ndarray, columns: np.ndarray, length: np.ndarray, size: int)
     return csr_array(graph.maximum(graph.T))
 
 
+class _Try(NamedTuple):
+    """A state bent to some ends of a scan, and its energy."""
+
+    energy: float
+    state: BodyState
+    goal: PointObservations
+
+
 @dataclass(frozen=True, eq=False)
 class EndSearch:
     """A body prepared for the search by ends.
@@ -153,15 +162,18 @@ class EndSearch:
         few = cloud.first(self.settings.points)
         ends = find_ends(few.points, few.unit_normals, self.settings)
         middle = few.points[ends.middle].mean(0)
-        tried = []
-        for which, labels in self._namings(ends):
+
+        def tried(naming: tuple[list[int], list[int]]) -> _Try:
+            which, labels = naming
             target = np.concatenate([few.points[ends.points[which]], middle[None]])
             goal = self._goal(target, labels)
             state = self._bent(self._moved(target, labels), goal)
-            missing = len(END_JOINTS) - len(labels)
-            tried.append((self._energy(state, goal) + self.settings.missing * missing, state, goal))
-        tried.sort(key=lambda each: each[0])
-        return [self._bent(state, goal, cloud) for _, state, goal in tried[: self.settings.kept]]
+            missing = self.settings.missing * (len(END_JOINTS) - len(labels))
+            return _Try(self._energy(state, goal) + missing, state, goal)
+
+        tries = sorted(map_on_threads(tried, self._namings(ends)), key=lambda one: one.energy)
+        kept = tries[: self.settings.kept]
+        return map_on_threads(lambda one: self._bent(one.state, one.goal, cloud), kept)
 
     def _namings(self, ends: Ends) -> list[tuple[list[int], list[int]]]:
         """Which ends of a scan may be which of `END_JOINTS`, by their distances over the surface;
