@@ -18,15 +18,16 @@ from habitus.rotations import matrix_from_rotvec
 from habitus_lab.population.coarse_bodies import coarse_body
 
 KICK = {
-    "left_hip": (-1.9, 0.3, 0.2),
-    "left_knee": (0.3, 0.0, 0.0),
-    "right_knee": (0.4, 0.0, 0.0),
-    "spine1": (-0.3, 0.2, 0.0),
-    "left_shoulder": (0.2, -1.2, 0.3),
-    "left_elbow": (0.0, -1.2, 0.0),
-    "right_shoulder": (-0.5, 0.3, -0.9),
-    "right_elbow": (0.0, 0.8, 0.0),
+    "pelvis": (0.2, 0.5, 1.0),
+    "spine1": (0.0, 0.0, -0.3),
+    "left_hip": (0.2, 0.0, 1.3),
+    "right_hip": (0.0, 0.0, 0.9),
+    "left_shoulder": (0.0, -0.6, -0.6),
+    "left_elbow": (0.0, -1.6, 0.0),
+    "right_shoulder": (0.0, 0.9, 0.2),
+    "right_elbow": (0.0, 1.9, 0.0),
 }
+"""A kick to the side, the trunk leant over; without the ends the search is 1.3 m off."""
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +36,9 @@ def registrar() -> Registrar:
     return Registrar.of(coarse_body(body, 1800), prior_of(body))
 
 
-def _state(registrar: Registrar, turns: dict, heading: float = 0.0) -> BodyState:
+def _state(registrar: Registrar, turns: dict) -> BodyState:
     body = registrar.body
     pose = np.zeros((1, body.num_joints, 3))
-    pose[0, 0] = 0.0, heading, 0.0
     for name, turn in turns.items():
         pose[0, body.joint_names.index(name)] = turn
     return BodyState(np.zeros(body.num_betas), pose, np.zeros((1, 3)))
@@ -118,7 +118,7 @@ def test_a_motion_and_a_scale_are_found_again():
 
 
 def test_a_kick_that_no_pose_of_the_bank_resembles_is_found_by_its_ends(registrar):
-    planted = _state(registrar, KICK, heading=2.0)
+    planted = _state(registrar, KICK)
     cloud = _cloud(registrar, planted)
     guesser = registrar.guesser()
     starts = guesser.ends.starts(cloud)
