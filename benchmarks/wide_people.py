@@ -85,6 +85,8 @@ def poses_of(motions: tuple[Path, ...], count: int) -> list[tuple[str, Pose]]:
         step = max(1, round(MOMENTS * motion.rate_hz))
         turn = up_rotation(motion.up_axis) @ matrix_from_rotvec(motion.pose[::step, 0])
         upright = turn[:, 1, 1] > UPRIGHT
+        if not upright.any():
+            continue
         joints = motion.joints(slice(None, None, step))[upright]
         poses = motion.pose[::step][upright].copy()
         poses[:, 0] = rotvec_from_matrix(turn[upright])
