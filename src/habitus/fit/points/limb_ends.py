@@ -4,7 +4,13 @@ An end is a point whose mean distance over the surface (geodesic; Hilaga et al.,
 all others is the largest within some reach. Distances between ends hardly depend on the pose: they
 tell head, hands and feet from each other, though not left from right. For each likely way to name
 the ends, the most similar pose of a bank is moved onto them, bent until they meet, and fitted to
-the whole scan while they hold. A limb that lies on the body has no end; one may be missing.
+the whole scan while they hold. A limb that lies on the body has no end; one may be missing. The
+energy of a state, by which those fitted to the ends alone are ranked:
+
+    1/2 sum_e |x_e - target_e|^2 / end_sd^2 + 1/2 |x_middle - target|^2 / middle_sd^2
+    + 1/2 (theta - mean)^T P (theta - mean) + missing
+
+``missing`` counts once where an end was not found (`LimbEndSettings`).
 """
 
 from dataclasses import dataclass

@@ -122,7 +122,7 @@ class Guesser:
 
     @cached_property
     def ends(self) -> EndSearch | None:
-        """What finds poses by the ends of the limbs; None for a body without such."""
+        """The search by the ends of limbs; None for a body on which they are not found."""
         return EndSearch.of(self.fitter, self.bank)
 
     @staticmethod
@@ -265,7 +265,7 @@ def find_start(
 
 
 def _is_found(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> bool:
-    """Whether a candidate is near the scan, and none of the scan far from it."""
+    """Whether the misfit of a candidate is small and no limb of the scan is far from it."""
     settings = guesser.settings
     if candidate.misfit > settings.max_misfit:
         return False
@@ -275,8 +275,8 @@ def _is_found(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> bool:
 
 
 def _by_ends(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate]:
-    """States that the ends of head, hands and feet tell, each under the turn in which its trunk is
-    most upright.
+    """States found by the ends of head, hands and feet, each under the turn that brings its trunk
+    closest to upright.
     """
     if guesser.ends is None:
         return []

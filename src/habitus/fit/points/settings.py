@@ -187,27 +187,28 @@ class LimbEndSettings:
     """Of a scan, among which its ends are found."""
     neighbours: int = 10
     min_cosine: float = -0.2
-    """Between normals of neighbours on one surface: fronts of two limbs are not."""
+    """Between normals, above which neighbours are connected: two limbs that face each other are not."""
     sources: int = 60
     """Points from which distances over the surface are averaged."""
     reach: float = 0.22
-    """Over the surface from an end, within which it is the furthest point."""
+    """Geodesic distance from an end within which it is the local maximum."""
     most_ends: int = 8
     middle_share: float = 0.05
     """Share of the surface that is its middle,"""
     middle_step: int = 20
-    """and every so many-eth vertex of the body's."""
+    """and the step through the body's vertices there."""
     namings: int = 24
-    """Ways to call ends head, hands and feet that are tried."""
+    """Assignments of ends to head, hands and feet that are tried."""
     missing_distance: float = 0.05
-    """Mean error (m) of the distances between ends that one which is not found counts for,"""
+    """Penalty for an end that is not found, as a mean error (m) of the distances between ends,"""
     missing: float = 20.0
-    """and energy of its pose."""
+    """and as an energy of the state."""
     kept: int = 8
     """Starts, at most."""
     end_sd: float = 0.03
     """Of an end about its target: fists are shorter than hands."""
     middle_sd: float = 0.06
+    """The same of the middle."""
     stages: tuple[ScanStage, ...] = (ScanStage(8, points=0, scale=0.1, noise=0.03, betas=1),)
     """With the ends alone,"""
     cloud_stages: tuple[ScanStage, ...] = (
