@@ -7,10 +7,10 @@ the ends, the most similar pose of a bank is moved onto them, bent until they me
 the whole scan while they hold. A limb that lies on the body has no end; one may be missing. The
 energy of a state, by which those fitted to the ends alone are ranked:
 
-    1/2 sum_e |x_e - target_e|^2 / end_sd^2 + 1/2 |x_middle - target|^2 / middle_sd^2
+    1/2 sum_e |x_e - target_e|^2 / end_sd^2 + 1/2 mean_m |x_m - target|^2 / middle_sd^2
     + 1/2 (theta - mean)^T P (theta - mean) + missing
 
-``missing`` counts once where an end was not found (`LimbEndSettings`).
+e are ends, m vertices of the middle; ``missing`` counts once where an end was not found (`LimbEndSettings`).
 """
 
 from dataclasses import dataclass

@@ -187,7 +187,7 @@ class LimbEndSettings:
     """Of a scan, among which its ends are found."""
     neighbours: int = 10
     min_cosine: float = -0.2
-    """Between normals, above which neighbours are connected: two limbs that face each other are not."""
+    """Between normals, above which neighbours are connected: limbs that face each other are not."""
     sources: int = 60
     """Points from which distances over the surface are averaged."""
     reach: float = 0.22
