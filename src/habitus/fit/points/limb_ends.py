@@ -10,7 +10,8 @@ energy of a state, by which those fitted to the ends alone are ranked:
     1/2 sum_e |x_e - target_e|^2 / end_sd^2 + 1/2 mean_m |x_m - target|^2 / middle_sd^2
     + 1/2 (theta - mean)^T P (theta - mean) + missing
 
-e are ends, m vertices of the middle; ``missing`` counts once where an end was not found (`LimbEndSettings`).
+e are ends, m vertices of the middle; ``missing`` counts once where an end was not
+found (`LimbEndSettings`).
 """
 
 from dataclasses import dataclass
