@@ -44,7 +44,7 @@ def test_what_is_left_out_is_told(seed, scale, wanted):
     found = morphs_of(blocks, VERTICES, [FRAMES], wanted)
     shown = np.einsum("kvc,tk->tvc", found.shapes, found.weights[0])
     away = np.linalg.norm(shown - whole(blocks), axis=-1)
-    assert away.max() == pytest.approx(found.worst, rel=1e-6, abs=1e-9)
+    assert away.max() == pytest.approx(found.worst, rel=1e-6, abs=1e-8)  # of float32, as in files
     if wanted != "live:7":  # coefficients here are no rotation's, whose weights alone are bounded
         assert np.abs(found.weights[0]).max(initial=0) < 1 + 1e-9
     assert len(found.names) == len(set(found.names)) == len(found.shapes)

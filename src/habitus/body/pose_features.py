@@ -350,6 +350,16 @@ class Hinges:
         plain[..., used] -= held.reshape(*posedirs.shape[:2], -1)
         return plain
 
+    def without_linear_of(
+        self, joint: int, shapes: Float[np.ndarray, "V 3 9"]
+    ) -> Float[np.ndarray, "V 3 9"]:
+        """`without_linear` of the ``posedirs`` that one joint drives."""
+        own = np.flatnonzero(self.joint == joint)
+        if not len(own):
+            return shapes
+        held = self.directions[:, :, own, 0].reshape(-1, len(own)) @ self.linear[own]
+        return shapes - held.reshape(shapes.shape)
+
     def for_person(self, betas: Float[np.ndarray, " B"]) -> "Hinges":
         """The channels of one person, S = 0, over ``posedirs`` that are `without_linear`."""
         factors = np.concatenate([[1.0], betas[: self.num_shapes]])

@@ -175,7 +175,12 @@ def _add(document: gl.GLTF2, data: bytes, target: int | None = None) -> int:
 
 
 def glb_bytes(document: gl.GLTF2) -> bytes:
-    """A document with one buffer in the binary form of glTF 2.0.
+    """A document with one buffer in the binary form of glTF 2.0."""
+    return b"".join(glb_parts(document))
+
+
+def glb_parts(document: gl.GLTF2) -> list[bytes]:
+    """The bytes of `glb_bytes` in parts, so that a large buffer is written without a copy of it.
 
     pygltflib's own `save_to_bytes` gives the same bytes; it copies each entry of the document
     several times, which takes longer than the rest of the file where there are many morphs.
@@ -183,10 +188,15 @@ def glb_bytes(document: gl.GLTF2) -> bytes:
     text = json.dumps(_entries(document), separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     blob = document.binary_blob() or b""
-    blob += b"\0" * (-len(blob) % 4)
-    parts = ((b"JSON", text), (b"BIN\0", blob))
-    chunks = b"".join(struct.pack("<I4s", len(part), kind) + part for kind, part in parts)
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    fill = b"\0" * (-len(blob) % 4)
+    text_size, blob_size = len(text), len(blob) + len(fill)
+    head = struct.pack("<4sII", b"glTF", 2, 28 + text_size + blob_size)
+    return [
+        head + struct.pack("<I4s", text_size, b"JSON") + text,
+        struct.pack("<I4s", blob_size, b"BIN\0"),
+        blob,
+        fill,
+    ]
 
 
 def _entries(value: Any) -> Any:
@@ -315,20 +325,20 @@ class GltfBuffer:
         )
         return len(self.document.accessors) - 1
 
-    def add_morph(self, offsets: Float[np.ndarray, "N 3"]) -> int:
-        """Offsets (m) of vertices: those that move alone, where most do not."""
+    def add_morph(self, offsets: Float[np.ndarray, "V 3"], source: Int[np.ndarray, " N"]) -> int:
+        """Offsets (m) of the vertices ``source``: those that move alone, where most do not."""
         x, y, z = offsets.T != 0
-        moved = np.flatnonzero(x | y | z)
-        if len(moved) > 0.8 * len(offsets):
-            return self.add(offsets, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
+        moved = np.flatnonzero((x | y | z)[source])
+        if len(moved) > 0.8 * len(source):
+            return self.add(offsets[source], gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
         moved = moved if len(moved) else np.zeros(1, np.int64)
-        index = moved.astype("u2" if len(offsets) < 65535 else "u4")
-        values = offsets[moved]
+        index = moved.astype("u2" if len(source) < 65535 else "u4")
+        values = offsets[source[moved]]
         self.document.accessors.append(
             gl.Accessor(
                 byteOffset=None,  # it has no view that one could count from
                 componentType=gl.FLOAT,
-                count=len(offsets),
+                count=len(source),
                 type=gl.VEC3,
                 min=[float(each.min(initial=0.0)) for each in values.T],
                 max=[float(each.max(initial=0.0)) for each in values.T],

@@ -166,10 +166,14 @@ def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
 
     try:
         with TorchIsAnExtra(f"habitus {name}"):
-            command, options = _parsed(name, arguments)
-            for module in command.NEEDS:
-                import_module(module)
-            gc.freeze()  # modules stay: no collection needs to look at what they hold
+            gc.disable()
+            try:
+                command, options = _parsed(name, arguments)
+                for module in command.NEEDS:
+                    import_module(module)
+                gc.freeze()  # modules stay: no collection needs to look at what they hold
+            finally:
+                gc.enable()
             stop.left = lambda: command.left(options)
             stop.begun = True
             return command.run(options) or 0

@@ -265,16 +265,14 @@ def _linear(
     sample: Float[np.ndarray, "S J 3 3"] | None,
 ) -> list[Block]:
     """The pose blend shapes that are linear in vec(R - I), a block each driving joint."""
-    directions = body.pose_directions
-    if directions is None:
+    if body.posedirs is None:
         return []
-    joints = len(body.drivers)
-    posedirs = directions[..., : 9 * joints]  # hinges apart
-    any_moved = np.any(posedirs, axis=1).reshape(-1, joints, 9).any(axis=2)
     blocks = []
     for k, joint in enumerate(body.drivers):
-        shapes = posedirs[..., 9 * k : 9 * k + 9]
-        moved = np.flatnonzero(any_moved[:, k])
+        shapes = body.posedirs[..., 9 * k : 9 * k + 9]
+        if body.hinges is not None:
+            shapes = body.hinges.without_linear_of(joint, shapes)
+        moved = np.flatnonzero(np.any(shapes, axis=(1, 2)))
         terms = tuple(features(each, joint) for each in rotations)
         usual = None if sample is None else features(sample, joint)
         driven = Drivers.linear(np.eye(9))
@@ -301,7 +299,7 @@ def one_sided(animation: Animation) -> Animation:
     """
     track = animation.tracks[0]
     driven = animation.morph_drivers
-    morphs = []
+    sides = []
     weights = []
     names = []
     drivers = []
@@ -311,15 +309,17 @@ def one_sided(animation: Animation) -> Animation:
             one = replace(driven[[k]], rows=sign * driven.rows[[k]])
             reach = float(one.reached()[0]) if one.live[0] else side.max()
             if reach > 1e-6:
-                morphs.append((sign * reach * animation.morphs[k]).astype(np.float32))
+                sides.append((k, sign * reach))
                 weights.append((side / reach).astype(np.float32))
                 names.append(f"{name}{end}")
                 drivers.append(one)
-    shape = animation.morphs.shape[1:]
     frames = len(track.quaternions)
+    morphs = np.empty((len(sides), *animation.morphs.shape[1:]), np.float32)
+    for n, (k, factor) in enumerate(sides):
+        morphs[n] = np.float32(factor) * animation.morphs[k]
     return replace(
         animation,
-        morphs=np.reshape(morphs, (-1, *shape)),
+        morphs=morphs,
         tracks=(replace(track, morph_weights=np.reshape(weights, (-1, frames)).T),),
         morph_names=tuple(names),
         morph_drivers=Drivers.together([driven[:0], *drivers]),

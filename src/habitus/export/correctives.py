@@ -360,7 +360,7 @@ def _exact(block: Block) -> tuple[Block, tuple[str, ...]]:
 
 def _together(parts: Sequence[tuple[Block, tuple[str, ...]]], vertices: int) -> Morphs:
     names = tuple(name for _, names in parts for name in names)
-    shapes = np.zeros((len(names), vertices, 3))
+    shapes = np.zeros((len(names), vertices, 3), np.float32)  # as files hold them
     first = 0
     for block, own in parts:
         shapes[first : first + len(own), block.vertices] = np.moveaxis(block.shapes, -1, 0)
@@ -411,8 +411,8 @@ def _worst(
     drive = np.concatenate(morphs.weights) if weights is None else weights
     most = np.abs(drive[:, left]) @ largest[left]
     frames = np.argsort(-most)[:CHECKED]
-    some = np.zeros((len(frames), len(morphs.shapes)))  # to pick shapes would copy them
-    some[:, left] = drive[np.ix_(frames, left)]
+    some = np.zeros((len(frames), len(morphs.shapes)), morphs.shapes.dtype)
+    some[:, left] = drive[np.ix_(frames, left)]  # to pick shapes would copy them
     moved = some @ morphs.shapes.reshape(len(morphs.shapes), -1)
     squares = _squares(moved.reshape(len(frames), -1, 3))
     return float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
@@ -431,6 +431,8 @@ def _squares(offsets: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batc
 
 def _kept(morphs: Morphs, rows: np.ndarray, residual: float, worst: float) -> Morphs:
     """Some of the morphs."""
+    if len(rows) == len(morphs.names):
+        return replace(morphs, residual=residual, worst=worst)
     names = tuple(morphs.names[k] for k in rows)
     weights = tuple(w[:, rows] for w in morphs.weights)
     return Morphs(morphs.shapes[rows], names, weights, morphs.drivers[rows], residual, worst)

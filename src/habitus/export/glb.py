@@ -13,7 +13,7 @@ from habitus import __version__
 from habitus.body.surface_files import (
     GltfBuffer,
     add_picture,
-    glb_bytes,
+    glb_parts,
     gltf_material,
     gltf_primitive,
     unit_float32,
@@ -78,8 +78,8 @@ def write_glb(
 
 def write_document(document: gl.GLTF2, path: str | os.PathLike[str]) -> None:
     """Write a glTF document in its binary form, atomically."""
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(glb_bytes(document))
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        file.writelines(glb_parts(document))
 
 
 def glb_stride(fit: "Moving") -> int:
@@ -149,7 +149,7 @@ def _mesh(animation: Animation, buffer: GltfBuffer) -> gl.Mesh:
             primitive.attributes, f"WEIGHTS_{k}", buffer.add(value[seams.source], gl.VEC4, array)
         )
     targets = [
-        gl.Attributes(POSITION=buffer.add_morph(morph[seams.source].astype("f4")))
+        gl.Attributes(POSITION=buffer.add_morph(morph.astype("f4", copy=False), seams.source))
         for morph in animation.morphs
     ]
     primitive.targets = targets

@@ -304,8 +304,9 @@ def _turns(
     """A joint's turns between a bone's axes and those of its parent, without jumps of sign."""
     if np.array_equal(axes, np.eye(3)) and np.array_equal(below, np.eye(3)):
         return quaternions
-    turns = Rotation.from_matrix(axes).inv() * Rotation.from_quat(quaternions)
-    found = (turns * Rotation.from_matrix(below)).as_quat()
+    # Linear in the quaternion: the products of 1, i, j and k make those of all.
+    products = Rotation.from_matrix(axes).inv() * Rotation.from_quat(np.eye(4))
+    found = quaternions @ (products * Rotation.from_matrix(below)).as_quat()
     flips = np.sum(found[1:] * found[:-1], axis=-1) < 0
     found[1:] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
     return found
