@@ -114,11 +114,17 @@ class Ages:
         return offset, scale, float((self.statures * self.spreads) @ shares) / self.adult
 
 
-def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"]:
-    """Directions (N, 3, K) as K rows of 3N numbers: x of all vertices, then y, then z."""
-    return np.ascontiguousarray(directions.transpose(2, 1, 0)).reshape(
-        directions.shape[-1], 3 * len(directions)
-    )
+_BLOCK = 256  # vertices at once: as many as the cache holds
+
+
+def flat_rows(bases: Sequence[Float[np.ndarray, "N 3 _"]]) -> Float[np.ndarray, "K M"]:
+    """The K directions of all bases as rows of 3N numbers: x of all vertices, then y, then z."""
+    count = len(bases[0])
+    rows = np.empty((sum(base.shape[2] for base in bases), 3, count))
+    for first in range(0, count, _BLOCK):
+        some = slice(first, first + _BLOCK)
+        np.concatenate([base[some].transpose(2, 1, 0) for base in bases], out=rows[:, :, some])
+    return rows.reshape(len(rows), -1)
 
 
 def affine_regressor(
@@ -213,9 +219,7 @@ def vertex_rows(
     ``driven``: how many features a joint has, and in how many blocks.
     """
     dense = np.ascontiguousarray(skinning_weights[ids].T)
-    bases = np.concatenate(
-        [base[ids] for base in (*directions, posedirs) if base is not None], axis=2
-    )
+    bases = [base[ids] for base in (*directions, posedirs) if base is not None]
     local = local_shapes(None if posedirs is None else posedirs[ids], *driven)
     if local is not None:
         local = replace(local, value=local.value.astype(kind.compiled))
@@ -280,6 +284,7 @@ class BodyArrays:
     mesh: BodyMesh | None = None
     finer: Callable[[], Any] | None = None
     full_vertices: Int[np.ndarray, " V"] | None = None
+    pockets: Bool[np.ndarray, " V"] | None = None
     extras: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self):
@@ -398,10 +403,11 @@ class BodyArrays:
         """
         if self.posedirs is None or self.hinges is None:
             return self.posedirs
-        plain = self.hinges.without_linear(self.posedirs, self.drivers)
         folds = self.hinges.directions.reshape(self.num_vertices, 3, -1)
-        none = np.zeros((self.num_vertices, 3, self.hinges.padding))
-        return np.concatenate([plain, folds, none], axis=2)
+        fill = ((0, 0), (0, 0), (0, self.hinges.padding))
+        whole = np.concatenate([self.posedirs, np.pad(folds, fill)], axis=2)
+        self.hinges.take_linear(whole[..., : self.posedirs.shape[2]], self.drivers)
+        return whole
 
     @cached_property
     def skinning_weights(self) -> Float[np.ndarray, "V J"]:

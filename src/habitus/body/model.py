@@ -56,6 +56,7 @@ class BodyModel(BodyArrays, Measured):
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k:
     the same person with more vertices, which ``finer()`` makes when it is first asked for.
+    ``pockets`` are the vertices that nobody sees, inside mouth and eyes, where the file has quads.
     `with_betas`, `with_joints` and `at_age` change both; a body that is changed by itself has no
     full one any more, as that would be another. ``extras`` are arrays of a model file that the body
     function does not use, kept for whoever saves the body again.

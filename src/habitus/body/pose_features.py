@@ -342,13 +342,17 @@ class Hinges:
         self, posedirs: Float[np.ndarray, "V 3 F"], drivers: list[int]
     ) -> Float[np.ndarray, "V 3 F"]:
         """``posedirs`` less what they hold of the channels."""
+        plain = posedirs.copy()
+        self.take_linear(plain, drivers)
+        return plain
+
+    def take_linear(self, posedirs: Float[np.ndarray, "V 3 F"], drivers: list[int]) -> None:
+        """The same in place."""
         rows = self.rows_of(drivers, self.linear)
         used = rows.any(axis=0)
-        plain = posedirs.copy()
         # A product of matrices: numpy is ten times slower with a stride between the directions.
         held = self.directions[..., 0].reshape(-1, self.num_channels) @ rows[:, used]
-        plain[..., used] -= held.reshape(*posedirs.shape[:2], -1)
-        return plain
+        posedirs[..., used] -= held.reshape(*posedirs.shape[:2], -1)
 
     def without_linear_of(
         self, joint: int, shapes: Float[np.ndarray, "V 3 9"]

@@ -26,6 +26,7 @@ from habitus.jobs.coregister import coregistered, registrations
 from habitus.jobs.options import RegisterOptions, takes
 from habitus.jobs.results import with_methods
 from habitus.kernels.threads import one_blas_thread
+from habitus.parallel.workers import map_on_threads
 from habitus.report.registration import scan_page
 from habitus.results.save import SCAN_FILES, result_lock, save_scan
 from habitus.types import PathLike, Progress
@@ -184,7 +185,8 @@ def made_ready(
         return replace(Registrar.of(first, prior_of(first), settings), detailed=detailed)
 
     others = SEXES if isinstance(body, str) and body == "default" else ()
-    return replace(ready(body), others=tuple(map(ready, others)))
+    first, *rest = map_on_threads(ready, (body, *others))
+    return replace(first, others=tuple(rest))
 
 
 def _read(one: Scan | PathLike) -> list[Scan]:

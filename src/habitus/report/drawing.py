@@ -12,6 +12,7 @@ one of them, `still_page` the page around them; `SCRIPTS` draw them.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from habitus.export.png import png
 from habitus.mesh.normals import vertex_normals
+from habitus.parallel.workers import map_on_threads
 from habitus.render.kernels import raster
 from habitus.render.kernels.structs import ScreenFaces
 from habitus.report.shell import NO_SCRIPT_STILL, THEME, Blob, card, figure, shell
@@ -315,9 +317,10 @@ def still_pictures(looks: Sequence[Look], root: Float[np.ndarray, "3 3"]) -> str
     without a 3D viewer; ``root`` is the rotation of the person's pelvis.
     """
     views = facing_views(root).values()
+    drawn = map_on_threads(lambda each: png(_picture(*each)), product(looks, views))
     figures = []
-    for look in looks:
-        contents = [png(_picture(look, axes)) for axes in views]
+    for k, look in enumerate(looks):
+        contents = drawn[k * len(views) : (k + 1) * len(views)]
         scale = f", {look.ends[0]} to {look.ends[1]}" if look.ramp else ""
         figures.append(figure(look.name + scale, *contents, alt=look.name))
     return card("Front and back", f"<div class='shots pairs'>{''.join(figures)}</div>")

@@ -71,6 +71,7 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
         mesh=None,
         finer=None,
         full_vertices=None,
+        pockets=None,
     )
 
 

@@ -143,6 +143,8 @@ def vertex_weights(
 
 def hidden_vertices(body: BodyModel) -> Bool[np.ndarray, " V"] | None:
     """Vertices of pockets that nobody sees; None for a body that does not say."""
+    if body.pockets is not None:
+        return body.pockets
     full = body if body.mesh is not None else body.full
     if full is None or full.mesh is None:
         return None

@@ -29,6 +29,7 @@ lambda_shape and lambda_pose are `ScanStage.shape` and `.pose`; s is `ScanStage.
 """
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -349,7 +350,7 @@ class OffsetEquations:
     square: float
     factor: SuperLU
     mean: Float[np.ndarray, " V"]
-    jacobian: SurfaceJacobian
+    jacobian: SurfaceJacobian | None = None
 
     @staticmethod
     def of(
@@ -362,10 +363,26 @@ class OffsetEquations:
         last: "OffsetEquations | None" = None,
     ) -> "OffsetEquations":
         """Correspondences on the model with the offset of the last step, or the mean offset."""
+        with ThreadPoolExecutor(1) as pool:
+            here = (state.betas, state.pose[0], state.trans[0])
+            jacobian = pool.submit(surface_jacobian, fitter.body, *here)
+            held = OffsetEquations._held(fitter, state, cloud, precision, mean, stage, last)
+            return replace(held, jacobian=jacobian.result())
+
+    @staticmethod
+    def _held(
+        fitter: ScanFitter,
+        state: BodyState,
+        cloud: Cloud,
+        precision: csc_array,
+        mean: Float[np.ndarray, " V"],
+        stage: ScanStage,
+        last: "OffsetEquations | None",
+    ) -> "OffsetEquations":
+        """All that is held within a step, without the Jacobian."""
         faces = fitter.topology.faces
         cloud = cloud.first(stage.points)
-        jacobian = surface_jacobian(fitter.body, state.betas, state.pose[0], state.trans[0])
-        model = np.asarray(jacobian.surface.vertices)
+        model = fitter.vertices(state)
         normal = vertex_normals(model, faces)
         offset = mean if last is None else last.offset_at(model)
         surface = model + offset[:, None] * normal
@@ -399,7 +416,6 @@ class OffsetEquations:
             float(weight @ missing**2),
             factored(csc_array(lumped + precision)),
             mean,
-            jacobian,
         )
 
     def model_at(
@@ -434,13 +450,12 @@ class OffsetEquations:
         self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N N"]]:
         """Gradient and Gauss-Newton matrix over betas, trans and pose."""
-        if self._is_here(betas, pose, trans):
-            jacobian = self.jacobian
-        else:
-            jacobian = surface_jacobian(self.body, betas, pose, trans)
-        model = np.asarray(jacobian.surface.vertices)
-        along = motion_along(self.normal, jacobian)
-        pull = self.pull - self.lumped @ self.displacement(model)
+        jacobian = self.jacobian if self._is_here(betas, pose, trans) else None
+        along = motion_along(
+            self.normal, jacobian or surface_jacobian(self.body, betas, pose, trans)
+        )
+        displaced = self.displacement(self.model_at(betas, pose, trans))
+        pull = self.pull - self.lumped @ displaced
         lumped = self.lumped @ along
         product = inverse_product(self.factor, np.column_stack([lumped, pull]))
         return product[:-1, -1] - along.T @ pull, along.T @ lumped - product[:-1, :-1]

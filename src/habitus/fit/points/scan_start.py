@@ -137,17 +137,17 @@ class Guesser:
         part = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[
             faces[:, 0], 0
         ]
-        limbs = []
-        for limb in LIMBS:
+
+        def limb_of(limb: tuple[str, ...]) -> Limb | None:
             joints = np.flatnonzero(below[[names.index(j) for j in limb if j in names]].any(0))
             mine = np.isin(part, joints)
-            if mine.any() and not mine.all():
-                limbs.append(
-                    Limb(joints, Sample.of(body, faces[mine]), Sample.of(body, faces[~mine]))
-                )
-        return Guesser(
-            fitter, Sample.of(body, faces), tuple(limbs), pose_bank(fitter.prior, names, settings)
-        )
+            if not mine.any() or mine.all():
+                return None
+            return Limb(joints, Sample.of(body, faces[mine]), Sample.of(body, faces[~mine]))
+
+        whole = Sample.of(body, faces)
+        limbs = tuple(limb for limb in map_on_threads(limb_of, LIMBS) if limb is not None)
+        return Guesser(fitter, whole, limbs, pose_bank(fitter.prior, names, settings))
 
     def scene(self, cloud: Cloud) -> "Scene":
         """A scan that stands upright, to score candidates by."""
@@ -252,10 +252,7 @@ def find_start(
     is not near all of the scan, further poses are tried: by the ends of limbs, then more of the
     bank.
     """
-    candidates = _improved(guesser, cloud, _scored(guesser, cloud, turns, 1))
-    candidates = sorted(
-        [*candidates, _about_face(guesser, cloud, candidates[0])], key=lambda one: one.misfit
-    )
+    candidates = _improved(guesser, cloud, _scored(guesser, cloud, turns, 1), about_face=True)
     for further in (_by_ends, _widely):
         if _is_found(guesser, cloud, candidates[0]):
             break
@@ -298,8 +295,12 @@ def _widely(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate
     return _scored(guesser, cloud, turns, guesser.settings.widening)
 
 
-def _improved(guesser: Guesser, cloud: Cloud, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The best few of some candidates, after all stages."""
+def _improved(
+    guesser: Guesser, cloud: Cloud, candidates: Sequence[Candidate], about_face: bool = False
+) -> list[Candidate]:
+    """The best few of some candidates, after all stages; with ``about_face`` the best of them
+    facing the other way, too.
+    """
     settings = guesser.settings
     best = map_on_threads(partial(_with_limbs, guesser, cloud), candidates)
     rough = map_on_threads(partial(_roughly, guesser, cloud), best)
@@ -309,10 +310,11 @@ def _improved(guesser: Guesser, cloud: Cloud, candidates: Sequence[Candidate]) -
         for candidate in rough
         if candidate.misfit < settings.max_misfit_ratio * rough[0].misfit
     ]
-    return sorted(
-        map_on_threads(partial(_finely, guesser, cloud), rough),
-        key=lambda candidate: candidate.misfit,
-    )
+    ends = [partial(_finely, candidate=candidate) for candidate in rough]
+    if about_face:
+        ends.insert(0, partial(_about_face, candidate=rough[0]))
+    improved = map_on_threads(lambda end: end(guesser, cloud), ends)
+    return sorted(improved, key=lambda candidate: candidate.misfit)
 
 
 def _finely(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> Candidate:
@@ -353,15 +355,17 @@ def _scored(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> lis
     points = np.einsum("tij,pj->tpi", all_turns, few.points - middle)
     normals = np.einsum("tij,pj->tpi", all_turns, few.normals)
     surfaces = guesser.whole.placed(np.zeros(fitter.body.num_betas), bank, np.zeros(3))
-    scores = np.empty((len(bank), len(all_turns)))
     every = cloud.first(2000)
     scan = KDTree(with_normals(every.points - middle, every.normals))
-    for b, surface in enumerate(surfaces):
+
+    def scored_pose(surface: np.ndarray) -> np.ndarray:
         centre, own = _size(surface[:, :3])
         scale = np.clip(own / size, 0.6, 1.7)
         tree = KDTree(surface - np.pad(centre, (0, 3)))
         distance = tree.query(with_normals(scale * points, normals), distance_upper_bound=cap)[0]
-        scores[b] = np.minimum(distance, cap).mean(1)
+        return np.minimum(distance, cap).mean(1)
+
+    scores = np.array(map_on_threads(scored_pose, surfaces))
     best = np.unravel_index(np.argsort(scores, axis=None)[: wide * settings.checked], scores.shape)
     for b, t in zip(*best, strict=True):
         centre, own = _size(surfaces[b, :, :3])
