@@ -35,9 +35,11 @@ def distorted(
     )
 
 
-def _newton_step(plane: Tensor, wrong: Tensor, distortion: Tensor) -> Tensor:
-    """The inverse of the 2 x 2 (symmetric) derivative of ``distorted`` at ``plane``, times
-    ``wrong``.
+def distortion_slope(
+    plane: Float[Tensor, "*batch N 2"], distortion: Float[Tensor, "*camera 8"]
+) -> tuple[Float[Tensor, "*out N"], Float[Tensor, "*out N"], Float[Tensor, "*out N"]]:
+    """The derivative of ``distorted`` at ``plane``, a symmetric 2 x 2 matrix: dx''/dx', dx''/dy' =
+    dy''/dx' and dy''/dy'.
     """
     k1, k2, p1, p2, k3, k4, k5, k6 = distortion[..., None, :].unbind(-1)
     x, y = plane.unbind(-1)
@@ -47,7 +49,12 @@ def _newton_step(plane: Tensor, wrong: Tensor, distortion: Tensor) -> Tensor:
     slope = 2 * (k1 + s * (2 * k2 + s * 3 * k3) - radial * (k4 + s * (2 * k5 + s * 3 * k6))) / below
     xx = radial + x * x * slope + 2 * p1 * y + 6 * p2 * x
     xy = x * y * slope + 2 * p1 * x + 2 * p2 * y
-    yy = radial + y * y * slope + 6 * p1 * y + 2 * p2 * x
+    return xx, xy, radial + y * y * slope + 6 * p1 * y + 2 * p2 * x
+
+
+def _newton_step(plane: Tensor, wrong: Tensor, distortion: Tensor) -> Tensor:
+    """The inverse of the derivative of ``distorted`` at ``plane``, times ``wrong``."""
+    xx, xy, yy = distortion_slope(plane, distortion)
     determinant = xx * yy - xy * xy
     determinant = determinant.where(determinant != 0, 1.0)
     a, b = wrong.unbind(-1)

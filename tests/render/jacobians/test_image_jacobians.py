@@ -1,5 +1,7 @@
 """Explicit Jacobians of images: what automatic differentiation gives, as matrices."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import torch
@@ -355,6 +357,17 @@ def test_minimize_takes_them(method):
     for name, value in truth.items():
         torch.testing.assert_close(mine.values[name], other.values[name], rtol=0, atol=1e-5)
         torch.testing.assert_close(mine.values[name], value, rtol=0, atol=1e-5)
+
+
+def test_threads_do_not_disturb_each_other():
+    world = World("torus", "antialias")
+    jacobian = image_jacobian(world.frame, world.numbers["values"], world.background)
+    view = world.camera, world.numbers["vertices"]
+    expected = jacobian.to_vertices(*view)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: jacobian.to_vertices(*view), range(40)))
+    for each in found:
+        assert np.array_equal(each.data, expected.data)
 
 
 def test_in_single_precision_they_are_nearly_the_same():

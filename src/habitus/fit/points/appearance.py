@@ -25,6 +25,7 @@ from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.light import harmonics, linear_from_srgb
+from habitus.parallel.workers import map_on_threads
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
 from habitus.render.jacobians.images import silhouette_jacobian
@@ -241,10 +242,8 @@ def solve_appearance(
     mean = samples.colour.mean(1)
     solved = _solved(samples, mean, usual, settings.light_sd, edges, settings.grey_steps, settings)
     grey = solved.values["light"]
-    channels = [
-        _solved(samples, each, grey, settings.tint_sd, edges, settings.channel_steps, settings)
-        for each in samples.colour.T
-    ]
+    tinted = grey, settings.tint_sd, edges, settings.channel_steps, settings
+    channels = map_on_threads(lambda each: _solved(samples, each, *tinted), samples.colour.T)
     light = np.stack([each.values["light"] for each in channels], 1)
     logs = np.stack([each.values["log_albedo"] for each in channels], 1)
     albedo = np.exp(logs).clip(settings.min_albedo, settings.max_albedo)

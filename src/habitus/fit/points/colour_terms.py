@@ -37,6 +37,7 @@ from habitus.fit.points.colour_views import (
 from habitus.fit.points.depth_settings import AppearanceSettings, RgbdSettings
 from habitus.fit.points.skin_offsets import SkinField
 from habitus.mesh.normals import vertex_normals
+from habitus.parallel.workers import map_on_threads
 from habitus.render.triangles import Triangles
 from habitus.solve.terms import Quadratic, Term
 
@@ -93,7 +94,8 @@ def colour_equations(
     matrix = np.zeros((size, size))
     gradient = np.zeros(size)
     solved = []
-    for c in range(3):
+
+    def channel(c: int) -> tuple[np.ndarray, np.ndarray, Eliminated]:
         light = size - 30 + 9 * c + np.arange(9)
         tail = np.concatenate([light, size - 3 + np.arange(3)])
         rows = [
@@ -104,15 +106,18 @@ def colour_equations(
             for k, view in enumerate(views)
             if view is not None
         ]
-        own, slope, curvature = _channel(
+        own, slope, eliminated = _channel(
             rows, look.albedo[:, c], edges, np.append(np.arange(size - 30), tail), settings
         )
         certain = settings.colour / np.array(looks.light_sd)[ORDERS] ** 2
         own[light, light] += certain
         slope[light] += certain * (look.light[:, c] - WHITE)
+        return own, slope, eliminated
+
+    for own, slope, eliminated in map_on_threads(channel, range(3)):
         matrix = matrix + own
         gradient = gradient + slope
-        solved.append(curvature)
+        solved.append(eliminated)
     last = size - 3 + np.arange(3)
     matrix[last, last] += 1.0 / looks.camera_shift_sd**2
     gradient[last] += look.shift / looks.camera_shift_sd**2
@@ -190,32 +195,30 @@ class ColourEnergy:
         settings: RgbdSettings,
     ) -> "ColourEnergy":
         """views: each surface with its motion, and what was seen; None without colours."""
-        rows: list[list[ViewRows] | None] = []
-        rims: list[Any] = []
-        cost = 0.0
-        for view in views:
+
+        def of_view(view: tuple[Moving, ColourLevel] | None) -> tuple[Any, Any, float]:
             if view is None:
-                rows.append(None)
-                rims.append(None)
-                continue
+                return None, None, 0.0
             moving, level = view
             drawn = Drawn.of(
                 moving.vertices, moving.normals, triangles, level, look, settings.appearance
             )
-            rims.append(rim_pixels(drawn.frame, level, moving, settings.appearance.rim_cosine))
-            rows.append(view_rows(moving, triangles, level, look, settings, drawn))
-            cost += drawn.cost(level, rims[-1], settings)
+            rim = rim_pixels(drawn.frame, level, moving, settings.appearance.rim_cosine)
+            rows = view_rows(moving, triangles, level, look, settings, drawn)
+            return rows, rim, drawn.cost(level, rim, settings)
+
+        rows, rims, costs = zip(*map_on_threads(of_view, views), strict=True)
         state = BodyState(values["betas"], values["pose"], values["trans"])
         equations = colour_equations(rows, state, len(values["skin"]), look, edges, settings)
         levels = tuple(None if view is None else view[1] for view in views)
-        cost += _prior_cost(look, edges, settings)
+        cost = sum(costs) + _prior_cost(look, edges, settings)
         return ColourEnergy(
             body,
             field,
             triangles,
             dict(values),
             levels,
-            tuple(rims),
+            rims,
             look,
             edges,
             settings,

@@ -44,6 +44,7 @@ from habitus.fit.points.skin_offsets import (
     skin_planes_term,
     skin_prior,
 )
+from habitus.parallel.workers import map_on_threads
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations, PointSolver
@@ -285,11 +286,15 @@ class DepthEnergy:
             nonlocal last
             now = SkinnedState(**{name: values[name] for name in names})
             seen = look if last is None else last.look_at(values)
-            views = []
-            for k, view in enumerate(self.views):
+
+            def of_view(k: int) -> tuple[Moving, ColourLevel] | None:
                 moving = Moving.of(self.body, now.body, k, field, now.skin)
-                level = ColourLevel.of(view, moving.vertices, seen.shift, levels[step], looks)
-                views.append(None if level is None else (moving, level))
+                level = ColourLevel.of(
+                    self.views[k], moving.vertices, seen.shift, levels[step], looks
+                )
+                return None if level is None else (moving, level)
+
+            views = map_on_threads(of_view, range(len(self.views)))
             last = ColourEnergy.of(
                 self.body, field, self.triangles, values, views, seen, edges, self.settings
             )
