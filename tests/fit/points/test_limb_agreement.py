@@ -86,6 +86,18 @@ def test_limbs_that_are_not_seen_and_people_with_two_scans_are_not_compared():
     assert not fits[2].limbs and fits[1].limbs["left_elbow"].correlation > 0.99
 
 
+@pytest.mark.parametrize(("share", "doubted"), [(1.0, False), (0.6, False), (0.1, True)])
+def test_a_limb_that_the_scan_does_not_show_is_a_doubt(share, doubted):
+    fit = registered("arm")
+    weights = np.ones(fit.body.num_vertices)
+    joint = fit.body.joint_names.index("left_elbow")
+    weights[fit.body.strongest_joint == joint] = share
+    fit = replace(fit, weights=weights)
+    assert fit.limbs_seen["left_elbow"] == pytest.approx(share)
+    assert fit.limbs_seen["right_knee"] == 1.0
+    assert any("left forearm" in each for each in judge_scan(fit).reasons) == doubted
+
+
 @pytest.mark.parametrize(("degrees", "crossed"), [(0.0, False), (-4.0, False), (11.0, True)])
 def test_lower_legs_that_pass_through_each_other_are_a_doubt(degrees, crossed):
     pose = np.zeros((BODY.num_joints, 3))

@@ -23,7 +23,8 @@ from habitus.fit.points.scan import (
     turned,
 )
 from habitus.fit.points.scan_evidence import lost_share
-from habitus.fit.points.scan_result import at_rest, judge_scan
+from habitus.fit.points.scan_result import judge_scan
+from habitus.fit.points.scan_states import at_rest
 from habitus.fit.points.settings import SCANS, SurfaceStage
 from habitus.fit.verdict import PARTS
 from habitus.mesh.normals import vertex_normals
@@ -235,6 +236,7 @@ def test_the_verdict_follows_the_numbers():
         "limbs": {},
         "islands": 0.02,
         "head_seen": 0.9,
+        "limbs_seen": {"left_elbow": 0.5, "right_knee": 1.0},
         "points": 40_000,
         "joint_deviation": 3.0,
         "unlike": 0.0,
@@ -251,6 +253,7 @@ def test_the_verdict_follows_the_numbers():
         ({"head_seen": 0.1}, "doubtful"), ({"points": 5000.0}, "doubtful"),
         ({"joint_deviation": 7.0}, "doubtful"), ({"unlike": 0.03}, "doubtful"),
         ({"clothed": 0.5}, "doubtful"), ({"crossed_legs": 200}, "doubtful"),
+        ({"limbs_seen": {"left_elbow": 0.1}}, "doubtful"),
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
@@ -285,7 +288,7 @@ def scan_evidence(**changes):
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
     good |= {"joint_deviation": 3.0, "unlike": 0.0, "rarest_joint": "neck"}
     good |= {"points": 40_000, "clothed": 0.0, "crossed_legs": 0}
-    good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "measurements": {}}
+    good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "limbs_seen": {}, "measurements": {}}
     good |= {"body": SimpleNamespace(age=None, v_template=np.zeros((2, 3)))}
     return SimpleNamespace(**(good | changes))
 

@@ -24,7 +24,8 @@ from habitus.fit.points.free_surface import free_surface, new_cuts, uncut
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_colour_settings import ScanColourSettings
 from habitus.fit.points.scan_fitting import ScanFitter
-from habitus.fit.points.scan_result import ScanColours, ScanFit, at_rest
+from habitus.fit.points.scan_result import ScanColours, ScanFit
+from habitus.fit.points.scan_states import at_rest
 from habitus.fit.points.scans import Registrar, compared
 from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.fit.points.skin_colours import (

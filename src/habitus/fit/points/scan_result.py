@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.jacobians import posed_skeleton
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import hidden_vertices
@@ -125,6 +124,9 @@ class ScanLimits:
     head_seen: Bound = Bound(0.3, 0.0)
     """Share of the head that the scan shows: the height rests on it. By hand, for a scan whose head
     is missing; 0.8 and more of the four."""
+    limb_seen: Bound = Bound(0.4, 0.0)
+    """Share of a limb (`LIMBS`) that the scan shows. By hand; 0.81 and more of 144 limbs of 18
+    people of benchmarks/wide_people.py, 0.07 of a forearm that the fit put elsewhere."""
     points: Bound = Bound(8000, 0)
     """Points of a scan, as many as there would be if it showed all of the body. Of people unlike
     the body's own 15 of 21 with 4,000 to 8,000 points were right (3 mm mean, 7 mm at 95 %), of 14
@@ -165,6 +167,7 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "seen": "The scan shows {percent:.0f} % of the body; the rest continues the model.",
         "head": "The scan shows {percent:.0f} % of the head; it continues the model, as does the "
         "height.",
+        "limb": "The scan shows {percent:.0f} % of the {limb}; its pose comes from the pose prior.",
         "islands": "{percent:.0f} % of the scan lies apart and was left out; it may be another "
         "person or a part of this one.",
         "points": "The scan has {points:,.0f} points on all of the body; with fewer than 8,000 the "
@@ -216,6 +219,9 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
         Reason(below(fit.points, limits.points), "points", {"points": fit.points}),
         Reason(above(fit.islands, limits.islands), "islands", {"percent": 100.0 * fit.islands}),
     ]
+    for joint, share in fit.limbs_seen.items():
+        values = {"percent": 100.0 * share, "limb": LIMBS[joint]}
+        levels.append(Reason(below(share, limits.limb_seen), "limb", values))
     if fit.rival is not None:
         levels.append(Reason(below(fit.rival, limits.rival), "rival"))
     if fit.unlike:
@@ -399,6 +405,13 @@ class ScanFit:
         return float(self._shown[rows].mean()) if rows.any() else 1.0
 
     @cached_property
+    def limbs_seen(self) -> Mapping[str, float]:
+        """The same of each limb, by its joint (`LIMBS`)."""
+        own = np.array(self.body.joint_names)[self.body.strongest_joint]
+        shown = {joint: self._shown[own == joint] for joint in LIMBS}
+        return {joint: float(each.mean()) for joint, each in shown.items() if len(each)}
+
+    @cached_property
     def crossed_legs(self) -> int:
         """In how many pairs of triangles one lower leg or foot cuts the other."""
         sides = np.zeros(self.body.num_joints, int)
@@ -483,16 +496,3 @@ def _agreement(own: Float[np.ndarray, " N"], others: Float[np.ndarray, " N"]) ->
     spread = float(own.std() * others.std())
     product = float(np.mean((own - own.mean()) * (others - others.mean())))
     return LimbAgreement(deviation, product / spread if spread > 0.0 else 1.0)
-
-
-def at_rest(
-    body: BodyModel, state: BodyState, offset: Float[np.ndarray, "V 3"]
-) -> Float[np.ndarray, "V 3"]:
-    """The person at rest: the model's, with a posed surface's offset from the posed model turned
-    back.
-    """
-    skeleton = posed_skeleton(body, body.rest_joints(state.betas), state.pose[0])
-    turn = np.einsum(
-        "vk,vkij->vij", body.skinning_value, skeleton.motions[body.skinning_index][..., :3]
-    )
-    return body.rest_vertices(state.betas) + np.linalg.solve(turn, offset[..., None])[..., 0]

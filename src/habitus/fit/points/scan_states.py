@@ -1,10 +1,12 @@
-"""States of several scans, and of one body as those of another."""
+"""States of several scans, of one body as those of another, and surfaces at rest."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
+from habitus.body.jacobians import posed_skeleton
 from habitus.body.joint_layouts import LAYOUTS
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -67,3 +69,16 @@ def extended(body: BodyModel, other: BodyModel, prior: PosePrior, state: BodySta
             pose[:, k] = state.pose[:, body.joint_names.index(name)]
     further = np.zeros(other.num_betas - len(state.betas))
     return replace(state, betas=np.append(state.betas, further), pose=pose)
+
+
+def at_rest(
+    body: BodyModel, state: BodyState, offset: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """The person at rest: the model's, with a posed surface's offset from the posed model turned
+    back.
+    """
+    skeleton = posed_skeleton(body, body.rest_joints(state.betas), state.pose[0])
+    turn = np.einsum(
+        "vk,vkij->vij", body.skinning_value, skeleton.motions[body.skinning_index][..., :3]
+    )
+    return body.rest_vertices(state.betas) + np.linalg.solve(turn, offset[..., None])[..., 0]

@@ -43,9 +43,9 @@ from habitus.fit.points.limbs import (
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_around
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
-from habitus.fit.points.scan_result import LIMITS, ScanFit, at_rest, hair_notes, limbs_compared
+from habitus.fit.points.scan_result import LIMITS, ScanFit, hair_notes, limbs_compared
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
-from habitus.fit.points.scan_states import carried, extended, joined
+from habitus.fit.points.scan_states import at_rest, carried, extended, joined
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.fit.verdict import HANDS, vertex_parts
 from habitus.mesh.normals import vertex_normals
