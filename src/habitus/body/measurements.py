@@ -342,6 +342,9 @@ def is_closed(faces: Int[np.ndarray, "T 3"]) -> bool:
     return np.array_equal(np.sort(sides[0] * size + sides[1]), np.sort(sides[1] * size + sides[0]))
 
 
+_BLOCK = 64  # people at once: as many as the cache holds
+
+
 class Measured:
     """Of a `habitus.body.model.BodyModel`: how tall, how heavy, how wide."""
 
@@ -386,8 +389,12 @@ class Measured:
 
     def measure_people(self, betas: ArrayLike, sewing: bool = True) -> dict[str, np.ndarray]:
         """Measurements (N,) of N people at once, of betas (N, B). sewing: as for `measure_many`."""
-        rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]
-        return measure_many(self, rest, self.measuring_kit, sewing)  # type: ignore[arg-type]
+        people = to_numpy(betas, np.float64)
+        parts = []
+        for first in range(0, max(len(people), 1), _BLOCK):
+            rest = self.rest_vertices(people[first : first + _BLOCK])  # type: ignore[attr-defined]
+            parts.append(measure_many(self, rest, self.measuring_kit, sewing))  # type: ignore[arg-type]
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 @dataclass(frozen=True)
