@@ -406,7 +406,7 @@ class BodyArrays:
         folds = self.hinges.directions.reshape(self.num_vertices, 3, -1)
         fill = ((0, 0), (0, 0), (0, self.hinges.padding))
         whole = np.concatenate([self.posedirs, np.pad(folds, fill)], axis=2)
-        self.hinges.take_linear(whole[..., : self.posedirs.shape[2]], self.drivers)
+        self.hinges.subtract_linear(whole[..., : self.posedirs.shape[2]], self.drivers)
         return whole
 
     @cached_property

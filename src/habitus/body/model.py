@@ -47,6 +47,7 @@ class BodyModel(BodyArrays, Measured):
     ``dynamics`` are blend shapes of soft tissue in motion, and what predicts them
     (`habitus.body.dynamics`). ``landmarks`` name vertices; ``part`` gives each vertex its strongest
     joint; ``mirror`` its partner across the body; ``mesh`` what there is besides triangles;
+    ``pockets`` which vertices nobody sees, inside mouth and eyes (None: not known);
     ``ages`` how the mean person of other ages differs, ``age`` the one it was brought to
     (`at_age`). ``female_direction``, weights and bias, gives the log odds of a woman from the betas
     (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
@@ -56,7 +57,6 @@ class BodyModel(BodyArrays, Measured):
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k:
     the same person with more vertices, which ``finer()`` makes when it is first asked for.
-    ``pockets`` are the vertices that nobody sees, inside mouth and eyes, where the file has quads.
     `with_betas`, `with_joints` and `at_age` change both; a body that is changed by itself has no
     full one any more, as that would be another. ``extras`` are arrays of a model file that the body
     function does not use, kept for whoever saves the body again.

@@ -343,11 +343,11 @@ class Hinges:
     ) -> Float[np.ndarray, "V 3 F"]:
         """``posedirs`` less what they hold of the channels."""
         plain = posedirs.copy()
-        self.take_linear(plain, drivers)
+        self.subtract_linear(plain, drivers)
         return plain
 
-    def take_linear(self, posedirs: Float[np.ndarray, "V 3 F"], drivers: list[int]) -> None:
-        """The same in place."""
+    def subtract_linear(self, posedirs: Float[np.ndarray, "V 3 F"], drivers: list[int]) -> None:
+        """`without_linear` in place."""
         rows = self.rows_of(drivers, self.linear)
         used = rows.any(axis=0)
         # A product of matrices: numpy is ten times slower with a stride between the directions.

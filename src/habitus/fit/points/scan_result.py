@@ -406,7 +406,7 @@ class ScanFit:
 
     @cached_property
     def limbs_seen(self) -> Mapping[str, float]:
-        """The same of each limb, by its joint (`LIMBS`)."""
+        """The share of the vertices of each limb that the scan shows, by its joint (`LIMBS`)."""
         own = np.array(self.body.joint_names)[self.body.strongest_joint]
         shown = {joint: self._shown[own == joint] for joint in LIMBS}
         return {joint: float(each.mean()) for joint, each in shown.items() if len(each)}
