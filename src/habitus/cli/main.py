@@ -166,14 +166,16 @@ def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
 
     try:
         with TorchIsAnExtra(f"habitus {name}"):
-            gc.disable()
+            collected = gc.isenabled()
+            gc.disable()  # while modules are imported: what they hold stays
             try:
                 command, options = _parsed(name, arguments)
                 for module in command.NEEDS:
                     import_module(module)
-                gc.freeze()  # modules stay: no collection needs to look at what they hold
+                gc.freeze()
             finally:
-                gc.enable()
+                if collected:
+                    gc.enable()
             stop.left = lambda: command.left(options)
             stop.begun = True
             return command.run(options) or 0
