@@ -350,7 +350,7 @@ class OffsetEquations:
     square: float
     factor: SuperLU
     mean: Float[np.ndarray, " V"]
-    jacobian: SurfaceJacobian | None = None
+    jacobian: SurfaceJacobian
 
     @staticmethod
     def of(
@@ -366,57 +366,44 @@ class OffsetEquations:
         with ThreadPoolExecutor(1) as pool:
             here = (state.betas, state.pose[0], state.trans[0])
             jacobian = pool.submit(surface_jacobian, fitter.body, *here)
-            held = OffsetEquations._held(fitter, state, cloud, precision, mean, stage, last)
-            return replace(held, jacobian=jacobian.result())
-
-    @staticmethod
-    def _held(
-        fitter: ScanFitter,
-        state: BodyState,
-        cloud: Cloud,
-        precision: csc_array,
-        mean: Float[np.ndarray, " V"],
-        stage: ScanStage,
-        last: "OffsetEquations | None",
-    ) -> "OffsetEquations":
-        """All that is held within a step, without the Jacobian."""
-        faces = fitter.topology.faces
-        cloud = cloud.first(stage.points)
-        model = fitter.vertices(state)
-        normal = vertex_normals(model, faces)
-        offset = mean if last is None else last.offset_at(model)
-        surface = model + offset[:, None] * normal
-        if stage.renewed_signs and not cloud.signed:
-            cloud = fitter.oriented(surface, cloud)
-        correspondences = find_correspondences(
-            fitter.topology, surface, cloud.points, cloud.normals
-        )
-        weight = correspondences.weights(
-            cloud.points, stage.scale, fitter.settings.offset_min_cosine
-        )
-        variance = stage.noise_of(len(weight)) ** 2
-        corners = faces[correspondences.face]
-        weight *= fitter.clothes.factor(correspondences, corners, cloud.points, variance)
-        weight /= variance
-        row = np.repeat(np.arange(len(corners)), 3)
-        share = coo_array(
-            (correspondences.barycentric.ravel(), (row, corners.ravel())),
-            shape=(len(corners), len(model)),
-        ).tocsr()
-        there = np.einsum("pk,pkc->pc", correspondences.barycentric, model[corners])
-        missing = ((cloud.points - there) * correspondences.normal).sum(1) - share @ mean
-        lumped = csc_array(share.T @ diags_array(weight) @ share)
-        return OffsetEquations(
-            fitter.body,
-            state,
-            model,
-            normal,
-            lumped,
-            share.T @ (weight * missing),
-            float(weight @ missing**2),
-            factored(csc_array(lumped + precision)),
-            mean,
-        )
+            faces = fitter.topology.faces
+            cloud = cloud.first(stage.points)
+            model = fitter.vertices(state)
+            normal = vertex_normals(model, faces)
+            offset = mean if last is None else last.offset_at(model)
+            surface = model + offset[:, None] * normal
+            if stage.renewed_signs and not cloud.signed:
+                cloud = fitter.oriented(surface, cloud)
+            correspondences = find_correspondences(
+                fitter.topology, surface, cloud.points, cloud.normals
+            )
+            weight = correspondences.weights(
+                cloud.points, stage.scale, fitter.settings.offset_min_cosine
+            )
+            variance = stage.noise_of(len(weight)) ** 2
+            corners = faces[correspondences.face]
+            weight *= fitter.clothes.factor(correspondences, corners, cloud.points, variance)
+            weight /= variance
+            row = np.repeat(np.arange(len(corners)), 3)
+            share = coo_array(
+                (correspondences.barycentric.ravel(), (row, corners.ravel())),
+                shape=(len(corners), len(model)),
+            ).tocsr()
+            there = np.einsum("pk,pkc->pc", correspondences.barycentric, model[corners])
+            missing = ((cloud.points - there) * correspondences.normal).sum(1) - share @ mean
+            lumped = csc_array(share.T @ diags_array(weight) @ share)
+            return OffsetEquations(
+                fitter.body,
+                state,
+                model,
+                normal,
+                lumped,
+                share.T @ (weight * missing),
+                float(weight @ missing**2),
+                factored(csc_array(lumped + precision)),
+                mean,
+                jacobian.result(),
+            )
 
     def model_at(
         self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
@@ -450,10 +437,11 @@ class OffsetEquations:
         self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N N"]]:
         """Gradient and Gauss-Newton matrix over betas, trans and pose."""
-        jacobian = self.jacobian if self._is_here(betas, pose, trans) else None
-        along = motion_along(
-            self.normal, jacobian or surface_jacobian(self.body, betas, pose, trans)
-        )
+        if self._is_here(betas, pose, trans):
+            jacobian = self.jacobian
+        else:
+            jacobian = surface_jacobian(self.body, betas, pose, trans)
+        along = motion_along(self.normal, jacobian)
         displaced = self.displacement(self.model_at(betas, pose, trans))
         pull = self.pull - self.lumped @ displaced
         lumped = self.lumped @ along
