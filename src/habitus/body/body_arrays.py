@@ -3,8 +3,7 @@ device) that were asked for, laid out for speed.
 
 Bases of blend shapes (S 3, eqs. 8 and 9) are rows of flattened surfaces, (directions, 3N) with
 coordinates before vertices, so that one matrix product gives a batch of surfaces. `Ages` are
-directions too: the mean person of some ages, straight lines between them. `BodyMesh` is what a mesh
-has besides triangles.
+directions too: the mean person of some ages, straight lines between them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import Kind, flatten, namespace, to_numpy, unflatten
+from habitus.body.body_mesh import BodyMesh
 from habitus.body.dynamics import Dynamics
 from habitus.body.face import Face
 from habitus.body.kernels import LocalShapes, local_shapes
@@ -34,49 +34,6 @@ from habitus.body.skinning import SKINNING, Influences
 from habitus.errors import HabitusError
 from habitus.mesh.template import check_parents
 from habitus.types import Array
-
-
-@dataclass(frozen=True, eq=False)
-class BodyMesh:
-    """Quads (Q, 4) of vertex numbers, counter-clockwise from outside; ``quad_uv`` of rows of
-    ``uv``, from below left.
-
-    ``hidden`` quads line pockets that nobody sees: the inside of the mouth, the sockets of the
-    eyes.
-    """
-
-    quads: Int[np.ndarray, "Q 4"]
-    uv: Float[np.ndarray, "N 2"]
-    quad_uv: Int[np.ndarray, "Q 4"]
-    hidden: Bool[np.ndarray, " Q"]
-
-    def triangle_uv(self, faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"] | None:
-        """Rows of ``uv`` for each corner of triangles that are the quads cut in two, in any order;
-        None for others.
-        """
-        if len(faces) != 2 * len(self.quads):
-            return None
-        size = int(max(self.quads.max(initial=0), faces.max(initial=0))) + 1
-        thirds = numbered(
-            np.concatenate([np.delete(self.quads, corner, axis=1) for corner in range(4)]), size
-        )
-        order = np.argsort(thirds, kind="stable")
-        edges = numbered(faces, size)
-        place = np.minimum(np.searchsorted(thirds[order], edges), len(thirds) - 1)
-        if not np.array_equal(thirds[order][place], edges):
-            return None
-        quad = order[place] % len(self.quads)
-        if (np.bincount(quad, minlength=len(self.quads)) != 2).any():
-            return None
-        corner = (self.quads[quad][:, None, :] == faces[:, :, None]).argmax(-1)
-        return np.take_along_axis(self.quad_uv[quad], corner, 1)
-
-
-def numbered(triangles: Int[np.ndarray, "T 3"], size: int) -> Int[np.ndarray, " T"]:
-    """One number for each set of three of ``size`` vertices, whichever comes first."""
-    a, b, c = np.sort(triangles, axis=1).T.astype(np.int64)
-    return (a * size + b) * size + c
-
 
 ADULT = 18.0  # years
 
@@ -403,11 +360,10 @@ class BodyArrays:
         """
         if self.posedirs is None or self.hinges is None:
             return self.posedirs
+        plain = self.hinges.without_linear(self.posedirs, self.drivers)
         folds = self.hinges.directions.reshape(self.num_vertices, 3, -1)
-        fill = ((0, 0), (0, 0), (0, self.hinges.padding))
-        whole = np.concatenate([self.posedirs, np.pad(folds, fill)], axis=2)
-        self.hinges.subtract_linear(whole[..., : self.posedirs.shape[2]], self.drivers)
-        return whole
+        none = np.zeros((self.num_vertices, 3, self.hinges.padding))
+        return np.concatenate([plain, folds, none], axis=2)
 
     @cached_property
     def skinning_weights(self) -> Float[np.ndarray, "V J"]:

@@ -308,9 +308,13 @@ class Hinges:
         return -self.count % ENTRIES
 
     def rows_of(self, drivers: list[int], rows: Float[np.ndarray, "C 9"]) -> np.ndarray:
-        """Rows (C, 9 P) over the features of all P joints that drive pose blend shapes."""
+        """Rows (C, 9 P) over the features of P joints that drive pose blend shapes; zeros for the
+        channels of other joints.
+        """
         table = np.zeros((self.num_channels, len(drivers), ENTRIES))
-        table[np.arange(self.num_channels), [drivers.index(j) for j in self.joint]] = rows
+        for channel, joint in enumerate(self.joint):
+            if joint in drivers:
+                table[channel, drivers.index(joint)] = rows[channel]
         return table.reshape(self.num_channels, -1)
 
     def driven(self, feature: Float[Array, "*batch F"], drivers: list[int]) -> Array:
@@ -341,28 +345,14 @@ class Hinges:
     def without_linear(
         self, posedirs: Float[np.ndarray, "V 3 F"], drivers: list[int]
     ) -> Float[np.ndarray, "V 3 F"]:
-        """``posedirs`` less what they hold of the channels."""
-        plain = posedirs.copy()
-        self.subtract_linear(plain, drivers)
-        return plain
-
-    def subtract_linear(self, posedirs: Float[np.ndarray, "V 3 F"], drivers: list[int]) -> None:
-        """`without_linear` in place."""
+        """``posedirs`` of some joints less what they hold of the channels."""
         rows = self.rows_of(drivers, self.linear)
         used = rows.any(axis=0)
+        plain = posedirs.copy()
         # A product of matrices: numpy is ten times slower with a stride between the directions.
         held = self.directions[..., 0].reshape(-1, self.num_channels) @ rows[:, used]
-        posedirs[..., used] -= held.reshape(*posedirs.shape[:2], -1)
-
-    def without_linear_of(
-        self, joint: int, shapes: Float[np.ndarray, "V 3 9"]
-    ) -> Float[np.ndarray, "V 3 9"]:
-        """`without_linear` of the ``posedirs`` that one joint drives."""
-        own = np.flatnonzero(self.joint == joint)
-        if not len(own):
-            return shapes
-        held = self.directions[:, :, own, 0].reshape(-1, len(own)) @ self.linear[own]
-        return shapes - held.reshape(shapes.shape)
+        plain[..., used] -= held.reshape(*posedirs.shape[:2], -1)
+        return plain
 
     def for_person(self, betas: Float[np.ndarray, " B"]) -> "Hinges":
         """The channels of one person, S = 0, over ``posedirs`` that are `without_linear`."""

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
-from habitus.body.body_arrays import BodyMesh, RestSkeleton, VertexRows, add_blend_shapes
+from habitus.body.body_arrays import RestSkeleton, VertexRows, add_blend_shapes
+from habitus.body.body_mesh import BodyMesh
 from habitus.body.face import Face
 from habitus.body.kernels import joint_motions, posed_vertices
 from habitus.body.pose_features import Hinges, PoseFeatures, pose_coefficients

@@ -10,7 +10,8 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.body.body_arrays import BodyArrays, numbered
+from habitus.body.body_arrays import BodyArrays
+from habitus.body.body_mesh import numbered
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from habitus.body.body_arrays import BodyMesh
+from habitus.body.body_mesh import BodyMesh
 from habitus.errors import HabitusError
 
 MASKS = Path(str(files("habitus.assets"))) / "skin.npz"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from jaxtyping import Float, Int
 
-from habitus.body.body_arrays import BodyMesh
+from habitus.body.body_mesh import BodyMesh
 from habitus.types import Array, PathLike
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int, UInt8
 
 from habitus import __version__
 from habitus.arrays import to_numpy
-from habitus.body.body_arrays import BodyMesh
+from habitus.body.body_mesh import BodyMesh
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.mesh.normals import vertex_normals

@@ -161,21 +161,14 @@ options:
 
 
 def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
-    import gc
     from importlib import import_module
 
     try:
         with TorchIsAnExtra(f"habitus {name}"):
-            collected = gc.isenabled()
-            gc.disable()  # while modules are imported: what they hold stays
-            try:
+            with _without_collection():  # modules stay
                 command, options = _parsed(name, arguments)
                 for module in command.NEEDS:
                     import_module(module)
-                gc.freeze()
-            finally:
-                if collected:
-                    gc.enable()
             stop.left = lambda: command.left(options)
             stop.begun = True
             return command.run(options) or 0
@@ -188,6 +181,21 @@ def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
         if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
             return _refused(HabitusError(f"{error}; check the path and its permissions"), verbose)
         raise
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """No garbage is collected, and what there is at the end is left out of later collections."""
+    import gc
+
+    collected = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+        gc.freeze()
+    finally:
+        if collected:
+            gc.enable()
 
 
 def _refused(error: HabitusError, verbose: bool) -> int:

@@ -270,8 +270,8 @@ def _linear(
     blocks = []
     for k, joint in enumerate(body.drivers):
         shapes = body.posedirs[..., 9 * k : 9 * k + 9]
-        if body.hinges is not None:
-            shapes = body.hinges.without_linear_of(joint, shapes)
+        if body.hinges is not None and joint in body.hinges.joint:
+            shapes = body.hinges.without_linear(shapes, [joint])
         moved = np.flatnonzero(np.any(shapes, axis=(1, 2)))
         terms = tuple(features(each, joint) for each in rotations)
         usual = None if sample is None else features(sample, joint)

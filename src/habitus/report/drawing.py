@@ -12,7 +12,6 @@ one of them, `still_page` the page around them; `SCRIPTS` draw them.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -317,10 +316,9 @@ def still_pictures(looks: Sequence[Look], root: Float[np.ndarray, "3 3"]) -> str
     without a 3D viewer; ``root`` is the rotation of the person's pelvis.
     """
     views = facing_views(root).values()
-    drawn = map_on_threads(lambda each: png(_picture(*each)), product(looks, views))
+    drawn = map_on_threads(lambda look: [png(_picture(look, axes)) for axes in views], looks)
     figures = []
-    for k, look in enumerate(looks):
-        contents = drawn[k * len(views) : (k + 1) * len(views)]
+    for look, contents in zip(looks, drawn, strict=True):
         scale = f", {look.ends[0]} to {look.ends[1]}" if look.ramp else ""
         figures.append(figure(look.name + scale, *contents, alt=look.name))
     return card("Front and back", f"<div class='shots pairs'>{''.join(figures)}</div>")

@@ -196,7 +196,9 @@ class ColourEnergy:
     ) -> "ColourEnergy":
         """views: each surface with its motion, and what was seen; None without colours."""
 
-        def of_view(view: tuple[Moving, ColourLevel] | None) -> tuple[Any, Any, float]:
+        def of_view(
+            view: tuple[Moving, ColourLevel] | None,
+        ) -> tuple[list[ViewRows] | None, Any, float]:
             if view is None:
                 return None, None, 0.0
             moving, level = view

@@ -143,14 +143,9 @@ def vertex_weights(
 
 def hidden_vertices(body: BodyModel) -> Bool[np.ndarray, " V"] | None:
     """Vertices of pockets that nobody sees; None for a body that does not say."""
-    if body.pockets is not None:
+    if body.mesh is None:
         return body.pockets
-    full = body if body.mesh is not None else body.full
-    if full is None or full.mesh is None:
-        return None
-    seen = np.zeros(full.num_vertices, dtype=bool)
-    seen[np.unique(full.mesh.quads[~full.mesh.hidden])] = True
-    return ~(seen if full is body else seen[body.full_vertices])
+    return body.mesh.pockets(np.arange(body.num_vertices))
 
 
 def corners_of(

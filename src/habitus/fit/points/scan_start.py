@@ -13,7 +13,7 @@ distances being those of correspondences (`correspondences.with_normals`), cappe
 the pose prior.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -252,11 +252,14 @@ def find_start(
     is not near all of the scan, further poses are tried: by the ends of limbs, then more of the
     bank.
     """
-    candidates = _improved(guesser, cloud, _scored(guesser, cloud, turns, 1), about_face=True)
+    rough = _rough(guesser, cloud, _scored(guesser, cloud, turns, 1))
+    first = partial(_about_face, guesser, cloud, rough[0])
+    candidates = _best_first([first, *_refinements(guesser, cloud, rough)])
     for further in (_by_ends, _widely):
         if _is_found(guesser, cloud, candidates[0]):
             break
-        candidates += _improved(guesser, cloud, further(guesser, cloud, turns))
+        rough = _rough(guesser, cloud, further(guesser, cloud, turns))
+        candidates += _best_first(_refinements(guesser, cloud, rough))
         candidates.sort(key=lambda one: one.misfit)
     return candidates
 
@@ -295,26 +298,30 @@ def _widely(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate
     return _scored(guesser, cloud, turns, guesser.settings.widening)
 
 
-def _improved(
-    guesser: Guesser, cloud: Cloud, candidates: Sequence[Candidate], about_face: bool = False
-) -> list[Candidate]:
-    """The best few of some candidates, after all stages; with ``about_face`` the best of them
-    facing the other way, too.
-    """
+def _rough(guesser: Guesser, cloud: Cloud, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best few of some candidates after the rough stages, the best first."""
     settings = guesser.settings
     best = map_on_threads(partial(_with_limbs, guesser, cloud), candidates)
     rough = map_on_threads(partial(_roughly, guesser, cloud), best)
     rough = _distinct(sorted(rough, key=lambda candidate: candidate.misfit))[: settings.refined]
-    rough = [
+    return [
         candidate
         for candidate in rough
         if candidate.misfit < settings.max_misfit_ratio * rough[0].misfit
     ]
-    ends = [partial(_finely, candidate=candidate) for candidate in rough]
-    if about_face:
-        ends.insert(0, partial(_about_face, candidate=rough[0]))
-    improved = map_on_threads(lambda end: end(guesser, cloud), ends)
-    return sorted(improved, key=lambda candidate: candidate.misfit)
+
+
+def _refinements(
+    guesser: Guesser, cloud: Cloud, rough: Sequence[Candidate]
+) -> list[Callable[[], Candidate]]:
+    """The fine stages of each candidate, to be run."""
+    return [partial(_finely, guesser, cloud, candidate) for candidate in rough]
+
+
+def _best_first(searches: Sequence[Callable[[], Candidate]]) -> list[Candidate]:
+    """The candidates that these searches find, run on threads."""
+    found = map_on_threads(lambda search: search(), searches)
+    return sorted(found, key=lambda candidate: candidate.misfit)
 
 
 def _finely(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> Candidate:

@@ -321,7 +321,8 @@ class Registrar:
             return cost, registrar, fit.state
 
         tried = sorted(map_on_threads(fitted, (self, *self.others)), key=lambda each: each[0])
-        best = map_on_threads(lambda each: each[1]._in_detail(each[2]), tried[:2])
+        likely = [partial(registrar._in_detail, state) for _, registrar, state in tried[:2]]
+        best = map_on_threads(lambda detailed: detailed(), likely)
         if len(best) == 1:
             return best[0]
         first = [replace(last, steps=self.settings.choice_steps, renewed_signs=False)]

@@ -38,7 +38,6 @@ from habitus.io.models.details import (
     read_face,
     read_hinges,
     read_mesh,
-    read_pockets,
     read_pose_joints,
 )
 from habitus.io.models.parts import parts_level
@@ -128,11 +127,11 @@ def _read_body(
     if detail != "parts":
         arrays = arrays.changed({"part_names": None, "part_index": None})
     if "coarse_vertices" in arrays and detail == "coarse":
-        whole = arrays
+        mesh = read_mesh(arrays, len(arrays["v_template"]))
         arrays, rows = coarse_level(arrays)
         finer = partial(_read_body, content, name, "full", None, num_betas, alone=False)
         model = replace(_own_body(arrays, name, num_betas), full_vertices=rows, finer=finer)
-        model = replace(model, pockets=read_pockets(whole, rows))
+        model = model if mesh is None else replace(model, pockets=mesh.pockets(rows))
     elif "skinning_index" not in arrays:
         model = _official_body(arrays, name)
     elif detail == "parts" and has_parts(arrays):

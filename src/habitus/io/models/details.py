@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
-from habitus.body.body_arrays import Ages, BodyMesh
+from habitus.body.body_arrays import Ages
+from habitus.body.body_mesh import BodyMesh
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.body.face import Face
 from habitus.body.model import BodyModel
@@ -45,15 +46,6 @@ def read_mesh(arrays: ModelArrays, vertices: int) -> BodyMesh | None:
     quads = arrays.index("quads", vertices, None, 4)
     hidden = arrays.index("hidden_quads", 2, len(quads)) != 0
     return BodyMesh(quads, uv, arrays.index("quad_uv", len(uv), len(quads), 4), hidden)
-
-
-def read_pockets(arrays: ModelArrays, rows: Int[np.ndarray, " V"]) -> Bool[np.ndarray, " V"] | None:
-    """Which of the vertices ``rows`` belong to hidden quads alone; None without quads."""
-    if "quads" not in arrays:
-        return None
-    quads = arrays.index("quads", len(arrays["v_template"]), None, 4)
-    hidden = arrays.index("hidden_quads", 2, len(quads)) != 0
-    return ~np.isin(rows, quads[~hidden])
 
 
 def read_ages(arrays: ModelArrays, template: np.ndarray) -> Ages | None:
