@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU
 
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
+from habitus.fit.offsets import factored, inverse_product
 from habitus.fit.points.appearance import (
     ORDERS,
     log_smoothness,
@@ -50,7 +51,13 @@ class Eliminated:
 
     vertices: Int[np.ndarray, " v"]
     columns: Int[np.ndarray, " c"]
-    solved: Float[np.ndarray, "v c1"]
+    factor: SuperLU
+    meeting: Float[np.ndarray, "v c"]
+    right: Float[np.ndarray, " v"]
+
+    def step(self, step: Float[np.ndarray, " n"]) -> Float[np.ndarray, " v"]:
+        """Of the log albedo, by a step of all other unknowns."""
+        return -self.factor.solve(self.right + self.meeting @ step[self.columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +76,7 @@ class ColourEquations:
         """What the person looks like a step further."""
         log = np.log(look.albedo)
         for c, channel in enumerate(self.eliminated):
-            change = -channel.solved[:, -1] - channel.solved[:, :-1] @ step[channel.columns]
-            log[channel.vertices, c] += np.clip(change, -1.0, 1.0)
+            log[channel.vertices, c] += np.clip(channel.step(step), -1.0, 1.0)
         albedo = np.exp(log).clip(self.settings.min_albedo, self.settings.max_albedo)
         light = look.light + step[-30:-3].reshape(3, 9).T
         return Look(albedo, light, look.shift + step[-3:])
@@ -146,17 +152,21 @@ def _channel(
     meeting = np.zeros((len(shown), size))
     for rows, columns in views:
         by_albedo = rows.by_albedo[:, shown]
-        weighed = rows.jacobian * rows.weight[:, None]
-        matrix[np.ix_(columns, columns)] += weighed.T @ rows.jacobian
-        gradient[columns] += weighed.T @ rows.residual
-        inner = inner + by_albedo.T @ (sparse.diags_array(rows.weight) @ by_albedo)
+        root = np.sqrt(rows.weight)
+        weighed = rows.jacobian * root[:, None]
+        residual = rows.residual * root
+        by_albedo = sparse.diags_array(root) @ by_albedo
+        matrix[np.ix_(columns, columns)] += weighed.T @ weighed
+        gradient[columns] += weighed.T @ residual
+        inner = inner + by_albedo.T @ by_albedo
         meeting[:, columns] += by_albedo.T @ weighed
-        right = right + by_albedo.T @ (rows.weight * rows.residual)
+        right = right + by_albedo.T @ residual
     meeting = meeting[:, used]
-    solved = splu(inner.tocsc()).solve(np.column_stack([meeting, right]))
-    matrix[np.ix_(used, used)] -= meeting.T @ solved[:, :-1]
-    gradient[used] -= meeting.T @ solved[:, -1]
-    return matrix, gradient, Eliminated(shown, used, solved)
+    factor = factored(inner.tocsc())
+    product = inverse_product(factor, np.column_stack([meeting, right]))
+    matrix[np.ix_(used, used)] -= product[:-1, :-1]
+    gradient[used] -= product[:-1, -1]
+    return matrix, gradient, Eliminated(shown, used, factor, meeting, right)
 
 
 WHITE = np.array([2.0 / np.sqrt(np.pi), *[0.0] * 8])

@@ -140,38 +140,49 @@ class ViewRows:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A posed surface and how its vertices move with betas, trans, pose and skin offsets
-    (3 V, P); turning (3 V, 3 V): its normals with its vertices.
+    """A posed surface and how its vertices move: motion (3 V, M) with betas, trans and pose; along
+    ``lift`` (3 V, V), which places normals, with the skin's offsets, which are basis (V, C) times
+    the field's numbers; turning (3 V, 3 V): its normals with its vertices.
     """
 
     vertices: Float[np.ndarray, "V 3"]
     normals: Float[np.ndarray, "V 3"]
-    motion: Float[np.ndarray, "V3 P"]
+    motion: Float[np.ndarray, "V3 M"]
+    lift: sparse.csr_array
+    basis: Float[np.ndarray, "V C"]
     turning: sparse.csr_array
 
     @staticmethod
     def of(
         body: BodyModel, state: BodyState, k: int, field: SkinField, skin: Float[np.ndarray, " C"]
     ) -> "Moving":
-        """That of view k; the numbers of the skin offsets (C,) are the last of the P."""
-        appearance = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
-        vertices = np.ascontiguousarray(appearance.surface.vertices)
+        """That of view k."""
+        jacobian = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
+        vertices = np.ascontiguousarray(jacobian.surface.vertices)
         count = body.num_vertices
         by_betas, by_pose = (
-            part.reshape(3 * count, -1)
-            for part in (appearance.vertices_betas, appearance.vertices_pose)
+            part.reshape(3 * count, -1) for part in (jacobian.vertices_betas, jacobian.vertices_pose)
         )
+        motion = np.concatenate([by_betas, np.tile(np.eye(3), (count, 1)), by_pose], 1)
         normals = vertex_normals(vertices, body.faces)
+        lift = sparse.csr_array(
+            (normals.ravel(), np.repeat(np.arange(count), 3), np.arange(3 * count + 1))
+        )
         vertices = field.seen(vertices, skin)
-        by_skin = (normals[..., None] * field.basis[:, None]).reshape(3 * count, -1)
-        motion = np.concatenate([by_betas, np.tile(np.eye(3), (count, 1)), by_pose, by_skin], 1)
         turning = normal_jacobian(vertices, body.faces).tocsr()
-        return Moving(vertices, vertex_normals(vertices, body.faces), motion, turning)
+        normals = vertex_normals(vertices, body.faces)
+        return Moving(vertices, normals, motion, lift, field.basis, turning)
+
+    def through(self, rows: sparse.csr_array) -> Float[np.ndarray, "R P"]:
+        """Rows (R, 3 V) of derivatives by vertices as ones by betas, trans, pose and the field's
+        numbers.
+        """
+        return np.concatenate([rows @ self.motion, (rows @ self.lift) @ self.basis], 1)
 
     def turned(self, some: Int[np.ndarray, " U"]) -> Float[np.ndarray, "U 3 P"]:
         """How the normals of some vertices move."""
         rows = (3 * some[:, None] + np.arange(3)).ravel()
-        return (self.turning[rows] @ self.motion).reshape(len(some), 3, -1)
+        return self.through(self.turning[rows]).reshape(len(some), 3, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +258,7 @@ def view_rows(
             "vx,vxp->vp", look.light[:, c] @ slope[corners], turned
         )
         jacobian = [
-            own @ moving.motion + shown[:, corners] @ lit,
+            moving.through(own) + shown[:, corners] @ lit,
             shown @ (look.albedo[:, c, None] * shape),
             own @ shift,
         ]

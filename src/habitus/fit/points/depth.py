@@ -8,6 +8,7 @@ arms usually are held; what explains the view best then stays.
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -100,26 +101,30 @@ def _fitted(
     clock.append(time.perf_counter())
     first = next(iter(bodies))
     energy = DepthEnergy.of(bodies[first], views, settings)
-    start, means, misfits = find_start(energy, turns, given)
-    clock.append(time.perf_counter())
-    neutral = _coarse(first, energy, start, means)
-    names = _likely_bodies(bodies[first], neutral.state.betas, [*bodies][1:])
-    rivals = [_rival(name, bodies[name], energy, start, means) for name in names]
+    with ThreadPoolExecutor(1) as beside:
+        fields = {
+            name: beside.submit(SkinField.of, body, settings) for name, body in bodies.items()
+        }
+        start, means, misfits = find_start(energy, turns, given)
+        clock.append(time.perf_counter())
+        neutral = _tried(first, energy, fields[first].result(), start, means)
+        names = _likely_bodies(bodies[first], neutral.state.betas, [*bodies][1:])
+        rivals = [
+            _rival(name, bodies[name], energy, fields[name].result(), start, means)
+            for name in names
+        ]
     chosen = min([neutral, *rivals], key=lambda one: one.history[-1])
-    energy = chosen.energy
-    field = SkinField.of(energy.body, settings)
-    state, means = retry_limbs(energy, chosen.state, means)
-    fine = energy.minimized(state, means, settings.stages[-1:])
-    state = fine.state
+    energy, field = chosen.energy, chosen.field
+    state, means = retry_limbs(energy, chosen.state.body, means)
     clock.append(time.perf_counter())
-    unskinned = SkinnedState(state.betas, state.pose, state.trans, np.zeros(field.count))
-    settled = energy.with_skin(unskinned, means, field)
+    placed = replace(chosen.state, pose=state.pose, trans=state.trans)
+    settled = energy.with_skin(placed, means, field)
     clock.append(time.perf_counter())
     ended, skinned, shown = _with_colour(energy, settled, means, field)
     clock.append(time.perf_counter())
     stages = ("segment", "start", "depth", "skin", "colour")
     seconds: dict[str, float] = dict(zip(stages, np.diff(clock).tolist(), strict=True))
-    history = (*chosen.history, *fine.history, *settled.history)
+    history = (*chosen.history, *settled.history)
     return ViewsFit(
         body=energy.body,
         kind=chosen.name,
@@ -163,27 +168,39 @@ def _prepared(
 
 
 @dataclass(frozen=True, eq=False)
-class _Coarse:
-    """Where a body's coarse stages led."""
+class _Attempt:
+    """A body after the first steps with its skin offsets."""
 
     name: str
     energy: DepthEnergy
-    state: BodyState
+    field: SkinField
+    state: SkinnedState
     history: tuple[float, ...]
 
 
 def _rival(
-    name: str, body: BodyModel, first: DepthEnergy, start: BodyState, means: np.ndarray
-) -> _Coarse:
+    name: str,
+    body: BodyModel,
+    first: DepthEnergy,
+    field: SkinField,
+    start: BodyState,
+    means: np.ndarray,
+) -> _Attempt:
     """Another body from the first one's poses."""
     energy = DepthEnergy.of(body, first.views, first.settings)
     state = replace(start, betas=scaled_to_height(body, list(first.views), first.settings.search))
-    return _coarse(name, energy, state, means)
+    return _tried(name, energy, field, state, means)
 
 
-def _coarse(name: str, energy: DepthEnergy, state: BodyState, means: np.ndarray) -> _Coarse:
-    coarse = energy.minimized(state, means, energy.settings.stages[:-1])
-    return _Coarse(name, energy, coarse.state, coarse.history)
+def _tried(
+    name: str, energy: DepthEnergy, field: SkinField, start: BodyState, means: np.ndarray
+) -> _Attempt:
+    """A body after all stages without skin offsets and the first steps with them."""
+    coarse = energy.minimized(start, means, energy.settings.stages)
+    state = coarse.state
+    bare = SkinnedState(state.betas, state.pose, state.trans, np.zeros(field.count))
+    skinned = energy.with_skin(bare, means, field)
+    return _Attempt(name, energy, field, skinned.state, (*coarse.history, *skinned.history))
 
 
 def _likely_bodies(first: BodyModel, betas: Float[np.ndarray, " B"], names: list[str]) -> list[str]:

@@ -336,12 +336,13 @@ class RgbdSettings:
     """Standard deviation of depth over its square (1 / m), where the views do not give it."""
     model_sd: float = 0.003
     """Metres (sd) of the surface that no body of the model explains."""
-    skin: float = 0.75
+    skin: float = 1.6
     """Standard deviation of the skin offset, as a factor of `habitus.fit.offsets.offset_spread`."""
     skin_reach: float = OFFSETS.range
     """Metres at which the correlation of two skin offsets is 0.14 (`OffsetSettings.range`)."""
-    skin_places: int = 120
-    """Vertices whose values determine the field of skin offsets, at most."""
+    skin_places: int = 400
+    """Vertices whose values determine the field of skin offsets, at most. With 120 it is smoother
+    than skin is, and betas follow what it cannot."""
     skin_depth: float = 0.1
     """``depth`` in the steps with skin offsets: what neighbours have in common is explained then.
     """
@@ -350,7 +351,8 @@ class RgbdSettings:
     an Azure Kinect; chosen by hand for speed.
     """
     skin_steps: int = 4
-    """Steps with skin offsets by depth alone, before those with colour."""
+    """Steps with skin offsets by depth alone: of each body that is tried, and again before those
+    with colour."""
     max_step: Mapping[str, float] = field(
         default_factory=lambda: {"trans": 0.5, "pose": 0.4, "betas": 1.5}
     )

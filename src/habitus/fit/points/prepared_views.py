@@ -291,12 +291,21 @@ def _one_person(mask: np.ndarray, points: np.ndarray, settings: SegmentationSett
     return kept[pieces]
 
 
-def seen_through(view: DepthView, mask: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+def seen_through(
+    view: DepthView, segment: Segment, settings: SegmentationSettings = SEGMENTATION
+) -> Float[np.ndarray, "H W"]:
     """Depth (m) that was measured of what is not the person, 0 elsewhere, on pixels well off the
     person's border.
+
+    Mixed depths of a hand and the wall behind it are neither the person's nor the room's: pixels
+    with them are left out, and so are pixels nearer than the empty room.
     """
-    crowded = convolve((~mask).astype(np.int8), np.ones((3, 3), np.int8), mode="nearest") == 9
-    return np.where(crowded & (view.depth > 0), view.depth, 0.0)
+    outside = ~segment.mask
+    crowded = convolve(outside.astype(np.int8), np.ones((3, 3), np.int8), mode="nearest") == 9
+    room = crowded & without_flying(view.depth > 0, view.depth)
+    if view.background is not None:
+        room &= ~_nearer(view.depth, view.background, segment.noise, settings)
+    return np.where(room, view.depth, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +365,7 @@ class PreparedView:
             shift = np.zeros(3)
         colour = None if view.colour_camera is None else in_world(view.colour_camera, turn, shift)
         points = view.points() @ turn.T + shift
-        behind = seen_through(view, segment.mask)
+        behind = seen_through(view, segment, settings)
         on_floor = segment.floor is not None
         camera = in_world(view.camera, turn, shift)
         return PreparedView(
