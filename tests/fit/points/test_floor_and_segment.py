@@ -7,7 +7,13 @@ import pytest
 from rgbd_scene_small import small_scene
 
 from habitus.errors import HabitusError
-from habitus.fit.points.prepared_views import Floor, find_floor, level_frame, segment
+from habitus.fit.points.prepared_views import (
+    Floor,
+    find_floor,
+    level_frame,
+    seen_through,
+    segment,
+)
 from habitus_lab.population.rgbd_people import _TILT, CAMERA_HEIGHT
 
 
@@ -80,3 +86,21 @@ def test_coarse_steps_of_depth_are_noise_too(step):
 
 def _rounded(depth, step):
     return np.round(depth / step) * step if step else depth
+
+
+@pytest.mark.parametrize("without", [(), ("background",)], ids=["empty room", "planes"])
+def test_mixed_depths_are_not_the_room_s(without):
+    """A thin hand before a wall has depths between both: nothing was seen through it."""
+    _, scene = small_scene()
+    view = scene.capture.views[0].without(*without)
+    hand = np.zeros(view.depth.shape, bool)
+    hand[8:20, 5:8] = True
+    mixed = view.depth.copy()
+    mixed[hand] *= np.random.default_rng(0).uniform(0.55, 0.95, hand.sum())
+    view = replace(view, depth=mixed)
+    found = segment(view)
+    behind = seen_through(view, found)
+    assert (view.depth[hand] > 0).mean() > 0.9 and not found.mask[hand].any()
+    assert (behind[hand] > 0).mean() < 0.05
+    around = ~found.mask & ~hand & (view.depth > 0)
+    assert (behind[around] > 0).mean() > 0.8

@@ -157,11 +157,11 @@ class Moving:
         body: BodyModel, state: BodyState, k: int, field: SkinField, skin: Float[np.ndarray, " C"]
     ) -> "Moving":
         """That of view k."""
-        jacobian = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
-        vertices = np.ascontiguousarray(jacobian.surface.vertices)
+        motions = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
+        vertices = np.ascontiguousarray(motions.surface.vertices)
         count = body.num_vertices
         by_betas, by_pose = (
-            part.reshape(3 * count, -1) for part in (jacobian.vertices_betas, jacobian.vertices_pose)
+            part.reshape(3 * count, -1) for part in (motions.vertices_betas, motions.vertices_pose)
         )
         motion = np.concatenate([by_betas, np.tile(np.eye(3), (count, 1)), by_pose], 1)
         normals = vertex_normals(vertices, body.faces)

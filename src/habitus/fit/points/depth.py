@@ -1,5 +1,5 @@
-"""Body shape, poses and places from depth views (T 4.6.1): segmentation, start, staged solves,
-limbs tried again, appearance.
+"""Body shape, poses and places from depth views (T 4.6.1): segmentation, start, staged solves of
+the bodies that are tried, limbs tried again, skin offsets, appearance.
 
 A limb that one view has elsewhere than another, or that leaves pixels unexplained, is tried again:
 people who are seen twice stand alike, so a lost arm is tried as the other views have it, and as
@@ -38,8 +38,8 @@ class ViewsFit:
     """Result of all stages: the chosen body and its name; the state, the skin offset (V,; m) and
     the observed surfaces, which include skin offset, clothes and hair; the prepared views; light
     and albedo (None without colours); the cost before each step and by term; the cost of each
-    body that was tried, after the coarse stages; the misfit of each view at the start; seconds by
-    stage; ``notes`` name the views that were left out, and why.
+    body that was tried, after its first steps with skin offsets; the misfit of each view at the
+    start; seconds by stage; ``notes`` name the views that were left out, and why.
     """
 
     body: BodyModel
@@ -69,11 +69,11 @@ def fit_state(
 
     bodies: one, or several by name: the first, neutral one finds the start. The body of the sex as
     which its shape is classified (`habitus.body.gender`) is tried next, and the one with the lower
-    cost after the coarse stages is fitted. turns: degrees by which the person is turned in each
-    view, to the person's left; unknown ones are None. start: a pose for each view to begin with in
-    place of trying some, turned by up to 30 degrees otherwise; the translation comes from the
-    person's pixels. Views without a person are left out and named in ``notes``. Raises HabitusError
-    where no view shows a person, and for another number of turns or poses than views.
+    cost after the first steps with skin offsets is fitted. turns: degrees by which the person is
+    turned in each view, to the person's left; unknown ones are None. start: a pose for each view to
+    begin with in place of trying some, turned by up to 30 degrees otherwise; the translation comes
+    from the person's pixels. Views without a person are left out and named in ``notes``. Raises
+    HabitusError where no view shows a person, and for another number of turns or poses than views.
     """
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
@@ -328,6 +328,8 @@ def _lost(views: tuple[PreparedView, ...], appearance: Appearance | None) -> tup
     return tuple(notes)
 
 
+BACKWARDS = 180.0
+"""Degrees by which a person seems turned who was fitted facing away."""
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
 
 
@@ -355,8 +357,8 @@ def retry_limbs(
 def _of_view(
     energy: DepthEnergy, state: BodyState, means: Float[np.ndarray, "K J 3"], k: int
 ) -> tuple[BodyState, Float[np.ndarray, "K J 3"]]:
-    """Limbs of one view, and the whole pose of another view where pixels are unexplained; the state
-    as it is where nothing is in doubt.
+    """Limbs of one view, and the whole pose of another view, facing either way, where pixels are
+    unexplained or several limbs are elsewhere; the state as it is where nothing is in doubt.
     """
     settings = energy.settings
     joints = _own_frames(energy, state)
@@ -370,19 +372,21 @@ def _of_view(
         misfit(grid, drawn, settings),
     )
     now = first
-    for limb in LIMBS:
-        for rows in (_rows(energy, side, limb) for side in ("left", "right")):
-            difference = np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
-            if len(rows) and (
-                difference > settings.limbs.max_difference or (lost and limb == "arm")
-            ):
-                now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
-    if lost and len(state.pose) > 1:
+    limbs = [(limb, _rows(energy, side, limb)) for limb in LIMBS for side in ("left", "right")]
+    apart = [
+        np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
+        > settings.limbs.max_difference
+        for _, rows in limbs
+    ]
+    for (limb, rows), differs in zip(limbs, apart, strict=True):
+        if len(rows) and (differs or (lost and limb == "arm")):
+            now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
+    if (lost or sum(apart) > 1) and len(state.pose) > 1:
         ways = [
             _turned(pose, state.pose[k], yaw)
             for j, pose in enumerate(state.pose)
             if j != k
-            for yaw in settings.search.side_turns
+            for yaw in (*settings.search.side_turns, BACKWARDS)
         ]
         now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
     if now is first:

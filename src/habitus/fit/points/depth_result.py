@@ -361,9 +361,9 @@ class RgbdFit(Moving):
     Metres and radians; a view's world has y up and the floor, where one was found, at 0;
     ``prepared_views`` hold what was seen, in the same world. ``appearance``: light and albedo, None
     without colour. ``evidence``: what the verdict is drawn from. ``costs``: after the last step, by
-    term; ``body_costs``: of the bodies that were tried, after the coarse stages (the lowest one is
-    taken); empty where the body was given; ``status``: how it ended (`habitus.minimize`:
-    "converged", "iterations", "stalled", …).
+    term; ``body_costs``: of the bodies that were tried, after the first steps with skin offsets
+    (the lowest one is taken); empty where the body was given; ``status``: how it ended
+    (`habitus.minimize`: "converged", "iterations", "stalled", …).
     ``skin``: how far the person's skin is off the body of betas, outwards along its normals (m);
     `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of
     markers calls frame k: ``vertices(k)``.
