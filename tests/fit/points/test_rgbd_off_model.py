@@ -26,6 +26,7 @@ from habitus.fit.points.skin_offsets import (
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, points_on_surface
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import minimize
 from habitus.solve.terms import Term
@@ -182,6 +183,20 @@ def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
     before, after = (energy.surfaces(one)[1] for one in (replace(state, pose=pose), again))
     away = [np.linalg.norm(surface - true, axis=1).mean() for surface in (before, after)]
     assert away[0] > 0.07 and away[1] < 0.03
+
+
+def test_a_person_who_was_fitted_facing_away_is_turned_back(fitted, body):
+    scene, found = fitted
+    energy = DepthEnergy.of(body, found.prepared_views, SETTINGS)
+    pose = found.state.pose.copy()
+    half = matrix_from_rotvec(np.array([0.0, np.pi, 0.0]))
+    pose[1, 0] = rotvec_from_matrix(half @ matrix_from_rotvec(pose[1, 0]))
+    arms = [k for k, name in enumerate(body.joint_names) if name.endswith(("shoulder", "elbow"))]
+    pose[1, arms] = next(arm_poses(body, ((0.0, 60.0, 60.0),)))[arms]
+    again, _ = retry_limbs(energy, replace(found.state, pose=pose), pose)
+    true = scene.surfaces[1] @ found.prepared_views[1].turn.T + found.prepared_views[1].shift
+    away = np.linalg.norm(energy.surfaces(again)[1] - true, axis=1).mean()
+    assert away < 0.03
 
 
 def test_where_no_limb_is_in_doubt_none_moves(fitted, body):
