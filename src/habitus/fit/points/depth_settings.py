@@ -336,7 +336,7 @@ class RgbdSettings:
     """Standard deviation of depth over its square (1 / m), where the views do not give it."""
     model_sd: float = 0.003
     """Metres (sd) of the surface that no body of the model explains."""
-    skin: float = 1.6
+    skin: float = 1.25
     """Standard deviation of the skin offset, as a factor of `habitus.fit.offsets.offset_spread`."""
     skin_reach: float = OFFSETS.range
     """Metres at which the correlation of two skin offsets is 0.14 (`OffsetSettings.range`)."""
