@@ -45,8 +45,8 @@ from habitus.solve.terms import Quadratic, Term
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """What gives the step of a channel's log albedo back: of the vertices that are shown, by a step
-    of ``columns``.
+    """A channel's log albedo at the vertices that are shown, eliminated from the equations: the
+    factor of its own matrix, the matrix shared with the unknowns in ``columns``, its gradient.
     """
 
     vertices: Int[np.ndarray, " v"]
@@ -55,8 +55,8 @@ class Eliminated:
     meeting: Float[np.ndarray, "v c"]
     right: Float[np.ndarray, " v"]
 
-    def step(self, step: Float[np.ndarray, " n"]) -> Float[np.ndarray, " v"]:
-        """Of the log albedo, by a step of all other unknowns."""
+    def change(self, step: Float[np.ndarray, " n"]) -> Float[np.ndarray, " v"]:
+        """Change of the log albedo that follows a step of all other unknowns."""
         return -self.factor.solve(self.right + self.meeting @ step[self.columns])
 
 
@@ -76,7 +76,7 @@ class ColourEquations:
         """What the person looks like a step further."""
         log = np.log(look.albedo)
         for c, channel in enumerate(self.eliminated):
-            log[channel.vertices, c] += np.clip(channel.step(step), -1.0, 1.0)
+            log[channel.vertices, c] += np.clip(channel.change(step), -1.0, 1.0)
         albedo = np.exp(log).clip(self.settings.min_albedo, self.settings.max_albedo)
         light = look.light + step[-30:-3].reshape(3, 9).T
         return Look(albedo, light, look.shift + step[-3:])

@@ -107,7 +107,7 @@ def _fitted(
         }
         start, means, misfits = find_start(energy, turns, given)
         clock.append(time.perf_counter())
-        neutral = _tried(first, energy, fields[first].result(), start, means)
+        neutral = _attempt(first, energy, fields[first].result(), start, means)
         names = _likely_bodies(bodies[first], neutral.state.betas, [*bodies][1:])
         rivals = [
             _rival(name, bodies[name], energy, fields[name].result(), start, means)
@@ -189,10 +189,10 @@ def _rival(
     """Another body from the first one's poses."""
     energy = DepthEnergy.of(body, first.views, first.settings)
     state = replace(start, betas=scaled_to_height(body, list(first.views), first.settings.search))
-    return _tried(name, energy, field, state, means)
+    return _attempt(name, energy, field, state, means)
 
 
-def _tried(
+def _attempt(
     name: str, energy: DepthEnergy, field: SkinField, start: BodyState, means: np.ndarray
 ) -> _Attempt:
     """A body after all stages without skin offsets and the first steps with them."""
@@ -328,8 +328,6 @@ def _lost(views: tuple[PreparedView, ...], appearance: Appearance | None) -> tup
     return tuple(notes)
 
 
-BACKWARDS = 180.0
-"""Degrees by which a person seems turned who was fitted facing away."""
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
 
 
@@ -373,20 +371,20 @@ def _of_view(
     )
     now = first
     limbs = [(limb, _rows(energy, side, limb)) for limb in LIMBS for side in ("left", "right")]
-    apart = [
+    inconsistent = [
         np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
         > settings.limbs.max_difference
         for _, rows in limbs
     ]
-    for (limb, rows), differs in zip(limbs, apart, strict=True):
-        if len(rows) and (differs or (lost and limb == "arm")):
+    for (limb, rows), doubtful in zip(limbs, inconsistent, strict=True):
+        if len(rows) and (doubtful or (lost and limb == "arm")):
             now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
-    if (lost or sum(apart) > 1) and len(state.pose) > 1:
+    if (lost or sum(inconsistent) > 1) and len(state.pose) > 1:
         ways = [
             _turned(pose, state.pose[k], yaw)
             for j, pose in enumerate(state.pose)
             if j != k
-            for yaw in (*settings.search.side_turns, BACKWARDS)
+            for yaw in settings.limbs.turns
         ]
         now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
     if now is first:

@@ -205,6 +205,9 @@ class DepthLimbSettings:
     again."""
     max_unexplained: float = 0.01
     """Share of a person's pixels far from the body, beyond which both arms are tried again."""
+    turns: tuple[float, ...] = (0.0, 30.0, -30.0, 180.0)
+    """Degrees from a view's own turn, at which the whole pose of another view is tried: 180 for a
+    person who was fitted facing away."""
     passes: int = 2
     """Over all views: a limb that one view finds helps the others."""
     kept: int = 2
@@ -341,8 +344,8 @@ class RgbdSettings:
     skin_reach: float = OFFSETS.range
     """Metres at which the correlation of two skin offsets is 0.14 (`OffsetSettings.range`)."""
     skin_places: int = 400
-    """Vertices whose values determine the field of skin offsets, at most. With 120 it is smoother
-    than skin is, and betas follow what it cannot."""
+    """Vertices whose values determine the field of skin offsets, at most. With 120 the
+    field is too smooth, and betas absorb the rest of the skin."""
     skin_depth: float = 0.1
     """``depth`` in the steps with skin offsets: what neighbours have in common is explained then.
     """

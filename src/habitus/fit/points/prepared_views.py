@@ -292,7 +292,7 @@ def _one_person(mask: np.ndarray, points: np.ndarray, settings: SegmentationSett
 
 
 def seen_through(
-    view: DepthView, segment: Segment, settings: SegmentationSettings = SEGMENTATION
+    view: DepthView, person: Segment, settings: SegmentationSettings = SEGMENTATION
 ) -> Float[np.ndarray, "H W"]:
     """Depth (m) that was measured of what is not the person, 0 elsewhere, on pixels well off the
     person's border.
@@ -300,11 +300,11 @@ def seen_through(
     Mixed depths of a hand and the wall behind it are neither the person's nor the room's: pixels
     with them are left out, and so are pixels nearer than the empty room.
     """
-    outside = ~segment.mask
+    outside = ~person.mask
     crowded = convolve(outside.astype(np.int8), np.ones((3, 3), np.int8), mode="nearest") == 9
     room = crowded & without_flying(view.depth > 0, view.depth)
     if view.background is not None:
-        room &= ~_nearer(view.depth, view.background, segment.noise, settings)
+        room &= ~_nearer(view.depth, view.background, person.noise, settings)
     return np.where(room, view.depth, 0.0)
 
 
