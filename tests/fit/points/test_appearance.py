@@ -101,11 +101,13 @@ def test_the_verdict_is_drawn_from_what_can_be_checked():
     for name, value in worse.items():
         views = (replace(GOOD.views[0], **{name: value}), GOOD.views[1])
         assert judge(replace(GOOD, views=views)).level == "failed", name
-    assert judge(replace(GOOD, beta_max=4.0)).level == "doubtful"
+    assert judge(replace(GOOD, beta_max=7.0)).level == "doubtful"
     assert judge(replace(GOOD, measurements={"height_m": 2.4})).level == "failed"
     assert judge(replace(GOOD, height_seen=1.95)).level == "failed"
     assert judge(replace(GOOD, limb_apart=(0.1, "left wrist"))).level == "good"
     lost = judge(replace(GOOD, limb_apart=(0.4, "left wrist")))
     reason = lost.reasons[lost.keys.index("limb")]
     assert lost.level == "doubtful" and "left wrist" in reason and "40 cm" in reason
+    turned = judge(replace(GOOD, limb_turned=(110.0, "left elbow")))
+    assert turned.level == "doubtful" and "turned" in turned.keys
     assert "one view" in judge(replace(GOOD, views=GOOD.views[:1])).keys

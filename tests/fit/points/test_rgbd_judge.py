@@ -44,7 +44,7 @@ def test_who_did_not_tell_the_room_gets_no_good_verdict(segmentation, level):
 
 def test_a_body_lower_than_the_person_and_a_rare_shape_are_doubted():
     assert judge(replace(SOUND, height_seen=1.80)).level == "doubtful"
-    assert judge(replace(SOUND, beta_max=5.5)).level == "doubtful"
+    assert judge(replace(SOUND, beta_max=7.0)).level == "doubtful"
     assert judge(replace(SOUND, beta_max=9.5)).level == "failed"
 
 
@@ -61,3 +61,9 @@ def test_a_child_is_held_to_the_limits_of_its_age(years):
 def test_an_adult_as_small_as_a_child_is_doubted():
     measurements = {"height_m": 1.277, "chest_circumference_m": 0.62}
     assert judge(replace(SOUND, measurements=measurements, height_seen=None)).level == "doubtful"
+
+
+def test_hair_that_is_measured_with_the_head_is_a_doubt_of_the_head_alone():
+    verdict = judge(replace(SOUND, measurements={"height_m": 1.75, "head_circumference_m": 0.74}))
+    assert verdict.level == "good" and verdict.parts["head"].level == "doubtful"
+    assert "measurement" in verdict.keys

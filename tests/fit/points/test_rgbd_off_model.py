@@ -12,7 +12,7 @@ from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals, offset_spread
 from habitus.fit.points.correspondences import Footpads
 from habitus.fit.points.depth import fit_state, retry_limbs
-from habitus.fit.points.depth_energy import DepthEnergy
+from habitus.fit.points.depth_energy import DepthEnergy, seen_from_pelvis, turned_by
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import segment
@@ -154,6 +154,19 @@ def test_soles_stand_as_high_as_they_are_at_rest(body):
     )
 
 
+def test_soles_below_the_floor_keep_their_weight(body):
+    """Legs too long by 13 cm went through the floor, where no pixel contradicts them."""
+    pads = Footpads.of(body)
+    rest = body.rest_vertices(np.zeros(body.num_betas))
+    used = body.faces[pads.face, pads.corner]
+    standing = rest - [0.0, rest[used, 1].min(), 0.0]
+    here, below = (
+        np.linalg.norm(pads.on_floor(standing - [0.0, depth, 0.0], body, SETTINGS).directions)
+        for depth in (0.02, 0.13)
+    )
+    assert np.isclose(here, below)
+
+
 @pytest.fixture(scope="module")
 def fitted(body):
     """The planted scene, and a fit by depth from a start with other arms, turned by 30 degrees."""
@@ -197,6 +210,21 @@ def test_a_person_who_was_fitted_facing_away_is_turned_back(fitted, body):
     true = scene.surfaces[1] @ found.prepared_views[1].turn.T + found.prepared_views[1].shift
     away = np.linalg.norm(energy.surfaces(again)[1] - true, axis=1).mean()
     assert away < 0.03
+
+
+def test_a_forearm_that_one_view_has_turned_about_its_axis_is_turned_back(fitted, body):
+    _, found = fitted
+    energy = DepthEnergy.of(body, found.prepared_views, SETTINGS)
+    pose = found.state.pose.copy()
+    elbow = body.joint_names.index("left_elbow")
+    turn = matrix_from_rotvec(np.array([2.0, 0.0, 0.0]))
+    pose[1, elbow] = rotvec_from_matrix(matrix_from_rotvec(pose[1, elbow]) @ turn)
+    turned = replace(found.state, pose=pose)
+    again, _ = retry_limbs(energy, turned, pose)
+    before, after = (
+        turned_by(*seen_from_pelvis(body, state)[1])[elbow] for state in (turned, again)
+    )
+    assert before > 90.0 and after < 30.0
 
 
 def test_where_no_limb_is_in_doubt_none_moves(fitted, body):

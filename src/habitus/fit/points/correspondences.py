@@ -181,14 +181,15 @@ class Footpads:
     def on_floor(
         self, surface: Float[np.ndarray, "V 3"], body: BodyModel, settings: RgbdSettings
     ) -> PointObservations:
-        """E_F: drawn to their heights, all together with the weight of one; robust, as a foot may
-        be lifted.
+        """E_F: drawn to their heights, all together with the weight of one; robust above the floor,
+        as a foot may be lifted, and not below it, where no foot can be.
         """
         count = len(self.face)
         target = np.column_stack([np.zeros(count), self.height, np.zeros(count)])
         off = surface[body.faces[self.face, self.corner], 1] - self.height
         weight = settings.floor / settings.floor_sd**2 / count
-        root = np.sqrt(weight * geman_mcclure_weight(off, settings.floor_scale))
+        lifted = geman_mcclure_weight(np.maximum(off, 0.0), settings.floor_scale)
+        root = np.sqrt(weight * lifted)
         return PointObservations(
             self.face,
             np.eye(3)[self.corner],

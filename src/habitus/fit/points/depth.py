@@ -21,7 +21,15 @@ from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.appearance import Appearance, ColourShift, find_appearance
 from habitus.fit.points.colour_views import Look
-from habitus.fit.points.depth_energy import DepthEnergy, Drawn, SkinnedState, look, misfit
+from habitus.fit.points.depth_energy import (
+    DepthEnergy,
+    Drawn,
+    SkinnedState,
+    look,
+    misfit,
+    seen_from_pelvis,
+    turned_by,
+)
 from habitus.fit.points.depth_result import RgbdFit, gather
 from habitus.fit.points.depth_settings import STANDARD, DepthStage, RgbdSettings
 from habitus.fit.points.depth_start import Tried, arm_poses, find_start, refined, scaled_to_height
@@ -359,7 +367,7 @@ def _of_view(
     unexplained or several limbs are elsewhere; the state as it is where nothing is in doubt.
     """
     settings = energy.settings
-    joints = _own_frames(energy, state)
+    joints, turns = seen_from_pelvis(energy.body, state)
     grid = energy.views[k].grid(_stride(energy, k))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
     unexplained = _unexplained(grid, drawn, settings.explained_distance)
@@ -374,6 +382,7 @@ def _of_view(
     inconsistent = [
         np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
         > settings.limbs.max_difference
+        or turned_by(turns[:, rows], turns[k, rows]).max(initial=0.0) > settings.limbs.max_turn
         for _, rows in limbs
     ]
     for (limb, rows), doubtful in zip(limbs, inconsistent, strict=True):
@@ -394,17 +403,6 @@ def _of_view(
     around = means.copy()
     pose[k], trans[k], around[k] = now.state.pose[0], now.state.trans[0], now.mean
     return BodyState(state.betas, pose, trans), around
-
-
-def _own_frames(energy: DepthEnergy, state: BodyState) -> Float[np.ndarray, "K J 3"]:
-    """Joints (m) from the pelvis, in its axes."""
-    joints = np.asarray(energy.body(state.betas, state.pose, state.trans).joints)
-    return np.stack(
-        [
-            (j - j[0]) @ matrix_from_rotvec(pose[0])
-            for j, pose in zip(joints, state.pose, strict=True)
-        ]
-    )
 
 
 def _unexplained(grid: Grid, drawn: Drawn, distance: float) -> float:

@@ -29,6 +29,7 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from habitus.body.anatomical_angles import world_rotations
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.appearance import edges_of
@@ -48,6 +49,7 @@ from habitus.parallel.workers import map_on_threads
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations, PointSolver
+from habitus.rotations import rotvec_from_matrix
 from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import Minimized, Stage, alternate
 from habitus.solve.terms import Term, geman_mcclure_weight
@@ -396,3 +398,23 @@ def freed(stage: DepthStage, body: BodyModel, settings: RgbdSettings) -> DepthSt
     if stage.moves == "place":
         masks["pose"] = (np.arange(body.num_joints) < 1)[:, None]
     return replace(stage, fixed=fixed, masks=masks, max_step=settings.max_step)
+
+
+def seen_from_pelvis(
+    body: BodyModel, state: BodyState
+) -> tuple[Float[np.ndarray, "K J 3"], Float[np.ndarray, "K J 3 3"]]:
+    """Joints (m) from the pelvis and their rotations from rest, both in its axes: alike in all
+    views of a person who stands still.
+    """
+    joints = np.asarray(body(state.betas, state.pose, state.trans).joints)
+    rotations = world_rotations(body.parents, state.pose)
+    back = np.swapaxes(rotations[:, :1], -1, -2)
+    return ((back @ (joints - joints[:, :1])[..., None])[..., 0], back @ rotations)
+
+
+def turned_by(
+    rotations: Float[np.ndarray, "... 3 3"], others: Float[np.ndarray, "... 3 3"]
+) -> Float[np.ndarray, "..."]:
+    """Degrees between rotations, broadcast."""
+    between = np.swapaxes(rotations, -1, -2) @ others
+    return np.rad2deg(np.linalg.norm(rotvec_from_matrix(between), axis=-1))

@@ -203,6 +203,9 @@ class DepthLimbSettings:
     max_difference: float = 0.15
     """Between a limb's joint in two views, seen from the pelvis: beyond it the limb is tried
     again."""
+    max_turn: float = 60.0
+    """Degrees between the rotations of a limb's joint in two views, seen from the pelvis: beyond it
+    the limb is tried again. 26 is the most of 38 right fits; a half-turned forearm has 110."""
     max_unexplained: float = 0.01
     """Share of a person's pixels far from the body, beyond which both arms are tried again."""
     turns: tuple[float, ...] = (0.0, 30.0, -30.0, 180.0)
