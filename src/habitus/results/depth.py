@@ -15,7 +15,8 @@ from habitus.export.png import png
 from habitus.files import whole_folder, write_text
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.colour_views import Skin, bake, spread
-from habitus.fit.points.depth_result import RgbdFit, ViewEvidence
+from habitus.fit.points.depth_evidence import ViewEvidence
+from habitus.fit.points.depth_result import RgbdFit
 from habitus.observe.light import srgb_bytes
 from habitus.results.save import METRICS, REPORT, gender_entry, measurements_csv, write_json
 from habitus.types import PathLike

@@ -18,7 +18,8 @@ from habitus.fit.points.appearance import (
     solve_appearance,
     to_linear,
 )
-from habitus.fit.points.depth_result import Evidence, ViewEvidence, judge
+from habitus.fit.points.depth_evidence import Evidence, ViewEvidence
+from habitus.fit.points.depth_result import judge
 from habitus.fit.points.depth_settings import APPEARANCE
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.mesh.normals import vertex_normals

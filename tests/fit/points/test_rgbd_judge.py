@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from habitus.fit.points.depth_result import Evidence, ViewEvidence, body_evidence, judge
+from habitus.fit.points.depth_evidence import Evidence, ViewEvidence, _end_names, body_evidence
+from habitus.fit.points.depth_result import judge
 from habitus.io.models.bodies import load_body
 
 VIEW = ViewEvidence("front", 6.0, 0.5, 20.0, 5.0, 0.99, 0.005, 0.93, 0.0, True, False, 20_000)
@@ -67,3 +68,21 @@ def test_hair_that_is_measured_with_the_head_is_a_doubt_of_the_head_alone():
     verdict = judge(replace(SOUND, measurements={"height_m": 1.75, "head_circumference_m": 0.74}))
     assert verdict.level == "good" and verdict.parts["head"].level == "doubtful"
     assert "measurement" in verdict.keys
+
+
+@pytest.mark.parametrize(("share", "hands", "whole"), [(0.02, "good", "good"),
+                         (0.10, "doubtful", "good"), (0.30, "failed", "doubtful")])  # fmt: skip
+def test_a_hand_off_its_pixels_is_a_matter_of_the_hands(share, hands, whole):
+    view = replace(VIEW, ends={"left hand": share, "right foot": 0.0, "head": 0.01})
+    verdict = judge(replace(SOUND, views=(view,)))
+    assert (verdict.parts["hands"].level, verdict.level) == (hands, whole)
+    assert ("left hand" in " ".join(verdict.reasons)) == (hands != "good")
+
+
+def test_ends_have_names_and_sides():
+    body = load_body("default")
+    names = _end_names(body)
+    assert set(names) == {"", "head", "left hand", "right hand", "left foot", "right foot"}
+    rest = body.rest_vertices(np.zeros(body.num_betas))
+    assert rest[names == "left hand", 0].min() > rest[names == "", 0].max() / 2
+    assert rest[names == "right foot", 1].max() < 0.3 * np.ptp(rest[:, 1]) + rest[:, 1].min()

@@ -19,7 +19,7 @@ Where to begin: `scans` is the recipe for scans and `settings` holds its constan
     colour_terms, colour_views, appearance      its term colour; first light, albedo, camera shift
     prepared_views, depth_start                 segmentation; multi-start search
     depth                                       the recipe; limbs placed again (`retry_limbs`)
-    depth_result                                result, evidence and verdict of a depth fit
+    depth_evidence, depth_result                evidence; result and verdict of a depth fit
     correspondences                             closest points, soles on the floor and the priors
                                                 that both energies use
 

@@ -30,7 +30,8 @@ from habitus.fit.points.depth_energy import (
     seen_from_pelvis,
     turned_by,
 )
-from habitus.fit.points.depth_result import RgbdFit, gather
+from habitus.fit.points.depth_evidence import gather
+from habitus.fit.points.depth_result import RgbdFit
 from habitus.fit.points.depth_settings import STANDARD, DepthStage, RgbdSettings
 from habitus.fit.points.depth_start import Tried, arm_poses, find_start, refined, scaled_to_height
 from habitus.fit.points.prepared_views import Grid, PreparedView, segment

@@ -383,7 +383,9 @@ class RgbdSettings:
     """Metres off the floor at which a sole weighs a quarter: a heel may be lifted."""
     explained_distance: float = 0.05
     """Metres from the body at which a pixel of the person is not explained by it."""
-    judged_stride: int = 3
+    end_distance: float = 0.03
+    """The same of head, hands and feet, in the verdict."""
+    judged_stride: int = 2
     """Of the pixels by which a fit is judged."""
     segmentation: SegmentationSettings = SEGMENTATION
     search: DepthSearchSettings = DepthSearchSettings()

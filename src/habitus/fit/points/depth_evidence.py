@@ -1,0 +1,234 @@
+"""What can be checked of a fit to depth views: how far depth is from the body, how much of the
+person it explains, whether the views agree, whom the body shows.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from habitus.body.model import BodyModel
+from habitus.body.state import BodyState
+from habitus.fit.offsets import along_normals
+from habitus.fit.points.depth_energy import look, seen_from_pelvis, turned_by, wrong_rows
+from habitus.fit.points.depth_settings import RgbdSettings
+from habitus.fit.points.prepared_views import SEGMENTATIONS, PreparedView
+from habitus.fit.verdict import FEET, HANDS, HEAD, PARTS, SIDES, vertex_parts
+from habitus.render.triangles import Triangles
+from habitus.rotations import matrix_from_rotvec
+
+END_PARTS: Mapping[str, str] = MappingProxyType({"head": HEAD, "hand": HANDS, "foot": FEET})
+"""The part in `habitus.fit.verdict.PARTS` of an end of the body."""
+
+
+@dataclass(frozen=True)
+class ViewEvidence:
+    """Of one view: depth less the body's (mm, across the surface): median of its size, bias, 95th
+    percentile; shares: ``explained`` of the person's pixels that are near the body, ``outside`` of
+    the body's that were seen through, ``overlap`` of both outlines. noise_mm: what the sensor's
+    noise leaves as the median. turn_deg: of the person, to its left. ends: of head, hands and feet,
+    as "left hand", pixels further than `RgbdSettings.end_distance` from the body over all that show
+    it.
+    """
+
+    name: str
+    median_mm: float
+    bias_mm: float
+    p95_mm: float
+    noise_mm: float
+    explained: float
+    outside: float
+    overlap: float
+    turn_deg: float
+    on_floor: bool
+    cut_off: bool
+    pixels: int
+    ends: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that the verdict is drawn from. limb_apart, limb_turned: how far (m; degrees) a limb's
+    joint, seen from the pelvis, is elsewhere or turned in another view, and which; None of one
+    view. age, stature: the body's
+    age, if it was brought to one (years), and how tall its mean person is (m).
+    """
+
+    views: tuple[ViewEvidence, ...]
+    beta_max: float
+    beta_rms: float
+    measurements: Mapping[str, float]
+    has_background: bool
+    has_colour: bool
+    segmentation: str
+    height_seen: float | None
+    limb_apart: tuple[float, str] | None = None
+    limb_turned: tuple[float, str] | None = None
+    age: float | None = None
+    stature: float = 0.0
+
+
+def gather(
+    body: BodyModel,
+    state: BodyState,
+    prepared: Sequence[PreparedView],
+    settings: RgbdSettings,
+    surfaces: Float[np.ndarray, "K V 3"],
+    skin: Float[np.ndarray, " V"],
+) -> Evidence:
+    """The evidence of a fit. surfaces: as they were seen, with what is worn; skin: off the model,
+    along normals (m).
+    """
+    triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
+    ends = _end_names(body)
+    views = tuple(
+        _of_view(
+            view,
+            surface,
+            triangles,
+            ends,
+            state.pose[k, 0],
+            settings,
+        )
+        for k, (view, surface) in enumerate(zip(prepared, surfaces, strict=True))
+    )
+    whole = [view for view in prepared if view.on_floor and not view.cut_off]
+    height = (
+        float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole]))
+        if whole
+        else None
+    )
+    return Evidence(
+        views=views,
+        has_background=any(view.view.background is not None for view in prepared),
+        has_colour=any(view.colour_camera is not None for view in prepared),
+        segmentation=next(
+            each for each in SEGMENTATIONS if any(s.segmentation == each for s in prepared)
+        ),
+        height_seen=height,
+        **_between_views(body, state),
+        **body_evidence(body, state.betas, skin),
+    )
+
+
+def body_evidence(
+    body: BodyModel, betas: Float[np.ndarray, " B"], skin: Float[np.ndarray, " V"]
+) -> dict[str, Any]:
+    """What `Evidence` holds of the body: how rare its betas are, its measurements, and whose they
+    are compared with.
+    """
+    mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
+    difference = betas - mean
+    return {
+        "beta_max": float(np.abs(difference).max(initial=0.0)),
+        "beta_rms": float(np.sqrt(np.mean(difference**2))),
+        "measurements": body.measure_rest(along_normals(body.rest_vertices(betas), skin, body)),
+        "age": body.age,
+        "stature": float(np.ptp(body.v_template[:, 1])),
+    }
+
+
+def _between_views(body: BodyModel, state: BodyState) -> dict[str, tuple[float, str] | None]:
+    """People who are seen twice stand alike: a limb that one view has elsewhere, or turned about
+    itself, is wrong in one of them.
+    """
+    limbs = [
+        k
+        for k, name in enumerate(body.joint_names)
+        if name.endswith(("elbow", "wrist", "knee", "ankle"))
+    ]
+    if len(state.pose) < 2 or not limbs:
+        return {"limb_apart": None, "limb_turned": None}
+    joints, rotations = (each[:, limbs] for each in seen_from_pelvis(body, state))
+    distance = np.linalg.norm(joints[:, None] - joints, axis=-1).max((0, 1))
+    angle = turned_by(rotations[:, None], rotations).max((0, 1))
+
+    def most(values: np.ndarray) -> tuple[float, str]:
+        worst = int(values.argmax())
+        return float(values[worst]), body.joint_names[limbs[worst]].replace("_", " ")
+
+    return {"limb_apart": most(distance), "limb_turned": most(angle)}
+
+
+def _of_view(
+    view: PreparedView,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Triangles,
+    ends: np.ndarray,
+    root: np.ndarray,
+    settings: RgbdSettings,
+) -> ViewEvidence:
+    noise = settings.noise if view.noise is None else view.noise
+    grid = view.grid(settings.judged_stride)
+    drawn = look(grid, vertices, triangles)
+    own = grid.person.ravel()
+    shown = np.zeros(grid.person.size, bool)
+    shown[drawn.pixel] = True
+    both = own[drawn.pixel]
+    target = grid.points.reshape(-1, 3)[drawn.pixel[both]]
+    off = ((target - drawn.points[both]) * drawn.normals[both]).sum(1)
+    far = np.linalg.norm(drawn.points[both] - grid.eye, axis=1)
+    person = grid.points[grid.person]
+    distance = (
+        KDTree(drawn.points).query(person)[0]
+        if len(drawn.points)
+        else np.full(max(len(person), 1), np.inf)
+    )
+    size = np.abs(off) if len(off) else np.array([np.nan])
+    facing = _facing(root)
+    return ViewEvidence(
+        view.view.name,
+        float(1e3 * np.median(size)),
+        float(1e3 * np.median(off)) if len(off) else np.nan,
+        float(1e3 * np.percentile(size, 95)),
+        float(1e3 * 0.6745 * noise * np.median(far**2)) if len(far) else np.nan,
+        float((distance < settings.explained_distance).mean()),
+        float(len(wrong_rows(grid, drawn, settings.seen_through)) / max(len(drawn.pixel), 1)),
+        float((own & shown).sum() / max((own | shown).sum(), 1)),
+        float(np.rad2deg(np.arctan2(facing[0], facing[2]))),
+        view.on_floor,
+        view.cut_off,
+        int(view.mask.sum()),
+        _ends_off(
+            ends,
+            vertices,
+            ends[triangles.faces.numpy()[drawn.face, 0]],
+            person[distance > settings.end_distance],
+        )
+        if len(drawn.points)
+        else MappingProxyType({}),
+    )
+
+
+def _end_names(body: BodyModel) -> np.ndarray:
+    """Of each vertex the name of the end that it belongs to, as "left hand"; "" of the body."""
+    singular = {part: end for end, part in END_PARTS.items()}
+    parts = np.array([singular.get(part, "") for part in PARTS])[vertex_parts(body)]
+    joints = np.array(body.joint_names)[body.strongest_joint]
+    sides = np.array([name.partition("_")[0] for name in joints])
+    sided = (parts != "") & np.isin(sides, SIDES)
+    return np.where(sided, np.char.add(np.char.add(sides, " "), parts), parts)
+
+
+def _ends_off(
+    names: np.ndarray,
+    vertices: Float[np.ndarray, "V 3"],
+    drawn: np.ndarray,
+    far: Float[np.ndarray, "n 3"],
+) -> Mapping[str, float]:
+    """Pixels of each end that are far from the body, over those that show it. names: as
+    `_end_names`; drawn: those of the body's pixels.
+    """
+    nearest = names[KDTree(vertices).query(far)[1]] if len(far) else names[:0]
+    shown = [name for name in np.unique(drawn) if name]
+    return MappingProxyType(
+        {str(name): float((nearest == name).sum() / (drawn == name).sum()) for name in shown}
+    )
+
+
+def _facing(root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    return np.asarray(matrix_from_rotvec(root))[:, 2]
