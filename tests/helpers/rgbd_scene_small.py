@@ -15,6 +15,7 @@ QUICK_DEPTH = replace(
     STANDARD,
     search=replace(STANDARD.search, turns=(0.0, 45.0), arms=STANDARD.search.arms[1:2]),
     limbs=replace(STANDARD.limbs, passes=1, kept=1, pixels=500),
+    skin_places=120,
 )
 """Of views of people in an A-pose, turned as in `small_scene`."""
 

@@ -114,11 +114,12 @@ def factored(matrix: csc_array) -> SuperLU:
 def inverse_product(factor: SuperLU, rows: Float[np.ndarray, "V n"]) -> Float[np.ndarray, "n n"]:
     """R^T A^-1 R of a symmetric matrix A (V, V) with the factors of `factored`.
 
-    With A = L D L^T up to the order of its rows it is (L^-1 R)^T D^-1 (L^-1 R): half of a solve,
+    With A = L D L^T up to the order of its rows it is X^T X, X = D^-1/2 L^-1 R: half of a solve,
     for all columns of R at once.
     """
     half = np.empty_like(rows, order="C")
     half[factor.perm_r] = rows
     lower = factor.L
     substitute_forward(lower.indptr, lower.indices, lower.data, half)
-    return half.T @ (half / factor.U.diagonal()[:, None])
+    half /= np.sqrt(factor.U.diagonal())[:, None]
+    return half.T @ half
