@@ -21,8 +21,8 @@ QUICK_DEPTH = replace(
 
 
 @cache
-def small_scene(sensor: str = "azure-kinect") -> tuple[BodyModel, Scene]:
+def small_scene(sensor: str = "azure-kinect", seed: int = 5) -> tuple[BodyModel, Scene]:
     """The default body, and a person near it in two views."""
     body = load_body("default")
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed)
     return body, rgbd_scene(body, planted_rest(body, rng), rng, sensor=sensor, scale=SCALE)

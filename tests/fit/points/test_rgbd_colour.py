@@ -47,11 +47,17 @@ def skinned(state: BodyState, field: SkinField) -> SkinnedState:
     return SkinnedState(state.betas, state.pose, state.trans, np.zeros(field.count))
 
 
-def test_colour_brings_the_surface_nearer(plain):
-    """Levels of the pyramid are half as coarse as the default, as the images are small."""
-    body, scene, found = plain
-    settings = replace(RgbdSettings(), colour_levels=(2, 2, 1, 1))
-    coloured = fit_state(scene.capture, body, settings, start=standing(body))
+def test_colour_brings_the_surface_nearer():
+    """By a fifth on the mean of five people (seeds 5 to 9), from 4 to 27 %. Levels of the pyramid
+    are half as coarse as the default, as the images are small.
+    """
+    body, scene = small_scene(seed=7)
+    found, coloured = (
+        fit_state(
+            scene.capture, body, replace(RgbdSettings(), colour_levels=levels), start=standing(body)
+        )
+        for levels in ((), (2, 2, 1, 1))
+    )
     true = np.stack(
         [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.prepared_views, strict=True)]
     )
