@@ -368,7 +368,6 @@ def _of_view(
     unexplained or several limbs are elsewhere; the state as it is where nothing is in doubt.
     """
     settings = energy.settings
-    joints, turns = seen_from_pelvis(energy.body, state)
     grid = energy.views[k].grid(_stride(energy, k))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
     unexplained = _unexplained(grid, drawn, settings.explained_distance)
@@ -380,12 +379,7 @@ def _of_view(
     )
     now = first
     limbs = [(limb, _rows(energy, side, limb)) for limb in LIMBS for side in ("left", "right")]
-    inconsistent = [
-        np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
-        > settings.limbs.max_difference
-        or turned_by(turns[:, rows], turns[k, rows]).max(initial=0.0) > settings.limbs.max_turn
-        for _, rows in limbs
-    ]
+    inconsistent = _inconsistent(energy, state, k, [rows for _, rows in limbs])
     for (limb, rows), doubtful in zip(limbs, inconsistent, strict=True):
         if len(rows) and (doubtful or (lost and limb == "arm")):
             now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
@@ -404,6 +398,20 @@ def _of_view(
     around = means.copy()
     pose[k], trans[k], around[k] = now.state.pose[0], now.state.trans[0], now.mean
     return BodyState(state.betas, pose, trans), around
+
+
+def _inconsistent(
+    energy: DepthEnergy, state: BodyState, k: int, limbs: Sequence[Int[np.ndarray, " _"]]
+) -> list[bool]:
+    """Whether each limb, given by its joints, is elsewhere or rotated in another view than in
+    view k.
+    """
+    settings = energy.settings.limbs
+    joints, rotations = seen_from_pelvis(energy.body, state)
+    distance = np.linalg.norm(joints - joints[k], axis=-1).max(0)
+    angle = turned_by(rotations, rotations[k]).max(0)
+    wrong = (distance > settings.max_difference) | (angle > settings.max_turn)
+    return [bool(wrong[rows].any()) for rows in limbs]
 
 
 def _unexplained(grid: Grid, drawn: Drawn, distance: float) -> float:
