@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
@@ -31,8 +31,7 @@ class ViewEvidence:
     percentile; shares: ``explained`` of the person's pixels that are near the body, ``outside`` of
     the body's that were seen through, ``overlap`` of both outlines. noise_mm: what the sensor's
     noise leaves as the median. turn_deg: of the person, to its left. ends: of head, hands and feet,
-    as "left hand", pixels further than `RgbdSettings.end_distance` from the body over all that show
-    it.
+    as "left hand", the share of pixels further than `RgbdSettings.end_distance` from the body.
     """
 
     name: str
@@ -197,7 +196,8 @@ def _of_view(
             ends,
             vertices,
             ends[triangles.faces.numpy()[drawn.face, 0]],
-            person[distance > settings.end_distance],
+            person,
+            distance > settings.end_distance,
         )
         if len(drawn.points)
         else MappingProxyType({}),
@@ -218,16 +218,19 @@ def _ends_off(
     names: np.ndarray,
     vertices: Float[np.ndarray, "V 3"],
     drawn: np.ndarray,
-    far: Float[np.ndarray, "n 3"],
+    person: Float[np.ndarray, "n 3"],
+    far: Bool[np.ndarray, " n"],
 ) -> Mapping[str, float]:
-    """Pixels of each end that are far from the body, over those that show it. names: as
-    `_end_names`; drawn: those of the body's pixels.
+    """Pixels of each end that are far from the body, over its pixels: those that are nearest to it
+    or those that the body's would fill, whichever are more. names: as `_end_names`; drawn: those of
+    the body's pixels.
     """
-    nearest = names[KDTree(vertices).query(far)[1]] if len(far) else names[:0]
-    shown = [name for name in np.unique(drawn) if name]
-    return MappingProxyType(
-        {str(name): float((nearest == name).sum() / (drawn == name).sum()) for name in shown}
-    )
+    nearest = names[KDTree(vertices).query(person)[1]] if len(person) else names[:0]
+    shares = {}
+    for name in filter(None, np.unique(drawn).tolist()):
+        own = nearest == name
+        shares[name] = float((own & far).sum() / max(own.sum(), (drawn == name).sum()))
+    return MappingProxyType(shares)
 
 
 def _facing(root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
