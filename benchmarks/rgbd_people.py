@@ -215,7 +215,7 @@ def _row(
         "seconds": seconds,
         "cpu_seconds": cpu,
         "stage_seconds": {name: float(value) for name, value in fit.stage_seconds.items()},
-        "views": [vars(view) for view in fit.evidence.views],
+        "views": [{**vars(view), "ends": dict(view.ends)} for view in fit.evidence.views],
         "betas_max": fit.evidence.beta_max,
     }
 

@@ -86,6 +86,7 @@ def _view(view: ViewEvidence) -> dict[str, Any]:
         "on_floor": view.on_floor,
         "cut_off": view.cut_off,
         "pixels": view.pixels,
+        "ends_unexplained_fraction": dict(view.ends),
     }
 
 

@@ -12,7 +12,7 @@ from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals, offset_spread
 from habitus.fit.points.correspondences import Footpads
 from habitus.fit.points.depth import fit_state, retry_limbs
-from habitus.fit.points.depth_energy import DepthEnergy, seen_from_pelvis, turned_by
+from habitus.fit.points.depth_energy import DepthEnergy, degrees_between, in_pelvis_frame
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import segment
@@ -222,7 +222,7 @@ def test_a_forearm_that_one_view_has_turned_about_its_axis_is_turned_back(fitted
     turned = replace(found.state, pose=pose)
     again, _ = retry_limbs(energy, turned, pose)
     before, after = (
-        turned_by(*seen_from_pelvis(body, state)[1])[elbow] for state in (turned, again)
+        degrees_between(*in_pelvis_frame(body, state)[1])[elbow] for state in (turned, again)
     )
     assert before > 90.0 and after < 30.0
 

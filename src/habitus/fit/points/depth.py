@@ -25,10 +25,10 @@ from habitus.fit.points.depth_energy import (
     DepthEnergy,
     Drawn,
     SkinnedState,
+    degrees_between,
+    in_pelvis_frame,
     look,
     misfit,
-    seen_from_pelvis,
-    turned_by,
 )
 from habitus.fit.points.depth_evidence import gather
 from habitus.fit.points.depth_result import RgbdFit
@@ -407,9 +407,9 @@ def _inconsistent(
     view k.
     """
     settings = energy.settings.limbs
-    joints, rotations = seen_from_pelvis(energy.body, state)
+    joints, rotations = in_pelvis_frame(energy.body, state)
     distance = np.linalg.norm(joints - joints[k], axis=-1).max(0)
-    angle = turned_by(rotations, rotations[k]).max(0)
+    angle = degrees_between(rotations, rotations[k]).max(0)
     wrong = (distance > settings.max_difference) | (angle > settings.max_turn)
     return [bool(wrong[rows].any()) for rows in limbs]
 

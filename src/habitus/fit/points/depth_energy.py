@@ -400,11 +400,11 @@ def freed(stage: DepthStage, body: BodyModel, settings: RgbdSettings) -> DepthSt
     return replace(stage, fixed=fixed, masks=masks, max_step=settings.max_step)
 
 
-def seen_from_pelvis(
+def in_pelvis_frame(
     body: BodyModel, state: BodyState
 ) -> tuple[Float[np.ndarray, "K J 3"], Float[np.ndarray, "K J 3 3"]]:
-    """Joints (m) from the pelvis and their rotations from rest, both in its axes: alike in all
-    views of a person who stands still.
+    """Joints relative to the pelvis (m) and their rotations from rest, in the axes of the pelvis:
+    the same in all views of a person who stands still.
     """
     joints = np.asarray(body(state.betas, state.pose, state.trans).joints)
     rotations = world_rotations(body.parents, state.pose)
@@ -412,9 +412,9 @@ def seen_from_pelvis(
     return ((back @ (joints - joints[:, :1])[..., None])[..., 0], back @ rotations)
 
 
-def turned_by(
+def degrees_between(
     rotations: Float[np.ndarray, "... 3 3"], others: Float[np.ndarray, "... 3 3"]
 ) -> Float[np.ndarray, "..."]:
-    """Degrees between rotations, broadcast."""
+    """Angles (degrees) of the rotations that take ``rotations`` to ``others``; both broadcast."""
     between = np.swapaxes(rotations, -1, -2) @ others
     return np.rad2deg(np.linalg.norm(rotvec_from_matrix(between), axis=-1))

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals
-from habitus.fit.points.depth_energy import look, seen_from_pelvis, turned_by, wrong_rows
+from habitus.fit.points.depth_energy import degrees_between, in_pelvis_frame, look, wrong_rows
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.prepared_views import SEGMENTATIONS, PreparedView
 from habitus.fit.verdict import FEET, HANDS, HEAD, PARTS, SIDES, vertex_parts
@@ -142,9 +142,9 @@ def _between_views(body: BodyModel, state: BodyState) -> dict[str, tuple[float, 
     ]
     if len(state.pose) < 2 or not limbs:
         return {"limb_apart": None, "limb_turned": None}
-    joints, rotations = (each[:, limbs] for each in seen_from_pelvis(body, state))
+    joints, rotations = (each[:, limbs] for each in in_pelvis_frame(body, state))
     distance = np.linalg.norm(joints[:, None] - joints, axis=-1).max((0, 1))
-    angle = turned_by(rotations[:, None], rotations).max((0, 1))
+    angle = degrees_between(rotations[:, None], rotations).max((0, 1))
 
     def most(values: np.ndarray) -> tuple[float, str]:
         worst = int(values.argmax())

@@ -36,7 +36,8 @@ from habitus.fit.verdict import (
 )
 
 SEEN_PEOPLE = PeopleLimits(above=Bound(0.15, 0.35), head=HEAD)
-"""Clothes and hair are measured, too, and only add; who is smaller than adults may be a child."""
+"""Clothes and hair are measured, too, and only add to girths; a person smaller than adults may be a
+child."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class RgbdLimits:
     than the first; of eight that are 30 to 85 mm off in a found pose, none has less."""
     overlap: Bound = Bound(0.86, 0.72)
     beta_max: Bound = Bound(6.0, 9.0)
-    """Of 64 people unlike the body's own (40 wide, 24 about foreign means), right fits reach 5.8,
-    wrong ones begin at 4.6: by itself this says little."""
+    """Of 64 people unlike the body's own (40 wide, 24 about foreign means) right fits reach 5.8,
+    and wrong ones begin at 4.6."""
     beta_rms: Bound = Bound(2.5, 3.0)
     height: Bound = Bound(0.03, 0.08)
     """Metres between the body's height and the person's highest point."""
