@@ -11,8 +11,9 @@ from rgbd_scene_small import small_scene
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals, offset_spread
 from habitus.fit.points.correspondences import Footpads
-from habitus.fit.points.depth import fit_state, retry_limbs
+from habitus.fit.points.depth import fit_state
 from habitus.fit.points.depth_energy import DepthEnergy, degrees_between, in_pelvis_frame
+from habitus.fit.points.depth_limbs import retry_limbs
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import segment

@@ -7,19 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rgbd_scene_small import small_scene
+from rgbd_scene_small import QUICK_DEPTH, small_scene
 from scipy.spatial import KDTree
 
-from habitus.fit.points.depth_energy import look, misfit
+from habitus.fit.points.depth import _best_facing
+from habitus.fit.points.depth_energy import DepthEnergy, look, misfit
 from habitus.fit.points.depth_settings import FOLDED
 from habitus.fit.points.depth_start import (
+    Tried,
     arm_poses,
+    find_start,
     planar_term,
     pose_of_keypoints,
     scaled_to_height,
     seen_joints,
 )
 from habitus.fit.points.prepared_views import PreparedView, segment
+from habitus.fit.points.skin_offsets import SkinField
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
 from habitus.solve.least_squares import Levenberg
@@ -144,3 +148,23 @@ def test_the_planar_term_is_least_where_the_surface_was_observed(seen):
     found = alternate(terms_at, start, [Stage(12)], steps=Levenberg(1e-6))
     assert abs(found.values["yaw"][0]) < 0.03
     assert np.abs(found.values["place"] - centre).max() < 0.01
+
+
+def test_a_view_that_begins_facing_the_wrong_way_is_turned_by_the_cost_of_its_fit():
+    """Of five people who walk away from a depth camera two had begun facing it."""
+    body, scene = small_scene()
+    search = replace(QUICK_DEPTH.search, turns=(0.0, 180.0), rival_misfit=np.inf)
+    settings = replace(QUICK_DEPTH, search=search, skin_places=60)
+    view = scene.capture.views[0].in_camera_frame()
+    energy = DepthEnergy.of(body, [PreparedView.of(view, segment(view))], settings)
+    right = find_start(energy, (None,))
+    wrong = replace(
+        right.facing_opposite(0),
+        opposite=(Tried(right.state, right.means[0], right.misfits[0]),),
+    )
+    facing = [matrix_from_rotvec(each.state.pose[0, 0])[2, 2] for each in (right, wrong)]
+    assert facing[0] > 0.8 and facing[1] < -0.8
+    field = SkinField.of(body, settings)
+    for start in (right, wrong):
+        _, chosen = _best_facing("", energy, field, start)
+        np.testing.assert_array_equal(chosen.state.pose, right.state.pose)

@@ -18,7 +18,7 @@ Where to begin: `scans` is the recipe for scans and `settings` holds its constan
     skin_offsets                                its term depth with skin offsets; clothes and hair
     colour_terms, colour_views, appearance      its term colour; first light, albedo, camera shift
     prepared_views, depth_start                 segmentation; multi-start search
-    depth                                       the recipe; limbs placed again (`retry_limbs`)
+    depth, depth_limbs                          the recipe; limbs placed again
     depth_evidence, depth_result                evidence; result and verdict of a depth fit
     correspondences                             closest points, soles on the floor and the priors
                                                 that both energies use

@@ -152,6 +152,9 @@ class DepthSearchSettings:
     """Steps after which front and back are compared."""
     facing: float = 0.003
     """Misfit that is added for who turns their back: front and back differ by nose and toes."""
+    rival_misfit: float = 1.3
+    """Misfit of the best start that faces the other way, in that of the best, up to which both are
+    fitted and the one of less cost goes on."""
     max_misfit_distance: float = 0.15
     """At which distances of the misfit are capped."""
     middle_steps: int = 2

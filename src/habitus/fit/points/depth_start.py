@@ -30,6 +30,29 @@ from habitus.solve.terms import Quadratic, Term, geman_mcclure_weight
 
 
 @dataclass(frozen=True, eq=False)
+class Start:
+    """Where a fit starts: the state of all views, the poses that its priors are around, the misfit
+    of each view, and of each view the best start that faces the other way, if it explains the view
+    nearly as well.
+    """
+
+    state: BodyState
+    means: Float[np.ndarray, "K J 3"]
+    misfits: tuple[float, ...]
+    opposite: tuple["Tried | None", ...]
+
+    def facing_opposite(self, k: int) -> "Start":
+        """With view k facing the other way."""
+        other = self.opposite[k]
+        assert other is not None
+        pose, trans, means = self.state.pose.copy(), self.state.trans.copy(), self.means.copy()
+        pose[k], trans[k], means[k] = other.state.pose[0], other.state.trans[0], other.mean
+        misfits = (*self.misfits[:k], other.misfit, *self.misfits[k + 1 :])
+        opposite = (*self.opposite[:k], None, *self.opposite[k + 1 :])
+        return Start(BodyState(self.state.betas, pose, trans), means, misfits, opposite)
+
+
+@dataclass(frozen=True, eq=False)
 class Tried:
     """A start of one view, the pose that its prior is around, and how badly the model then explains
     the view.
@@ -54,23 +77,25 @@ def find_start(
     energy: DepthEnergy,
     turns: tuple[float | None, ...],
     given: Float[np.ndarray, "K J 3"] | None = None,
-) -> tuple[BodyState, Float[np.ndarray, "K J 3"], list[float]]:
-    """The state to start from, the poses that its priors are around, and each view's misfit.
+) -> Start:
+    """The state to start from, and what goes with it.
 
     turns: degrees by which the person is turned from facing the camera, to the person's left; None:
     to be found. given: poses to start from, in place of those that are tried.
     """
     betas = scaled_to_height(energy.body, list(energy.views), energy.settings.search)
-    starts = [
+    found = [
         _best(energy, k, betas, turn, None if given is None else given[k])
         for k, turn in enumerate(turns)
     ]
+    starts, opposite = zip(*found, strict=True)
     state = BodyState(
         betas,
         np.concatenate([one.state.pose for one in starts]),
         np.concatenate([one.state.trans for one in starts]),
     )
-    return state, np.stack([one.mean for one in starts]), [one.misfit for one in starts]
+    means = np.stack([one.mean for one in starts])
+    return Start(state, means, tuple(one.misfit for one in starts), opposite)
 
 
 def scaled_to_height(
@@ -105,9 +130,10 @@ def _best(
     betas: np.ndarray,
     turn: float | None,
     given: Float[np.ndarray, "J 3"] | None,
-) -> Tried:
+) -> tuple[Tried, Tried | None]:
     """The pose that is given or that of keypoints; else, among arms and turns, the candidate with
-    the smallest misfit after some steps.
+    the smallest misfit after some steps. With it the best that faces the other way, if its misfit
+    is little more.
     """
     body = energy.body
     view = energy.views[k]
@@ -123,7 +149,7 @@ def _best(
     if posed is not None:
         pose, trans = posed
         start = Tried(BodyState(betas, pose[None], trans[None]), pose, np.inf)
-        return refined(energy, k, prepared, start, settings.coarse[-1][1])
+        return refined(energy, k, prepared, start, settings.coarse[-1][1]), None
     started = [
         _placed(energy, grid, prepared(pose), betas, pose, degrees)
         for pose in poses
@@ -135,14 +161,21 @@ def _best(
         return start.misfit + settings.facing * (1.0 - np.cos(start.yaw)) / 2.0
 
     for kept, stage in settings.coarse:
-        started = sorted(started, key=lambda start: start.misfit)[:kept]
+        started = sorted(started, key=lambda start: start.misfit)
+        started = started[:kept] + _opposite(started)[:1]
         started = [refined(energy, k, prepared, start, stage) for start in started]
     started = sorted(started, key=penalised)
-    opposite = [start for start in started if np.cos(start.yaw - started[0].yaw) < 0.0]
-    rivals = started[:1] + opposite[:1]
+    rivals = started[:1] + _opposite(started)[:1]
     if len(rivals) > 1:
         rivals = [refined(energy, k, prepared, start, settings.fine) for start in rivals]
-    return min(rivals, key=penalised)
+    best, *others = sorted(rivals, key=penalised)
+    near = [one for one in others if one.misfit < settings.rival_misfit * best.misfit]
+    return best, next(iter(near), None)
+
+
+def _opposite(starts: list[Tried]) -> list[Tried]:
+    """Those of some starts that face away from the first."""
+    return [start for start in starts if np.cos(start.yaw - starts[0].yaw) < 0.0]
 
 
 def arm_poses(

@@ -1,0 +1,180 @@
+"""Limbs of a fit to depth views placed again.
+
+A limb that one view has elsewhere than another, or rotated otherwise, or that leaves pixels
+unexplained, is tried again: people who are seen twice stand alike, so a lost arm is tried as the
+other views have it, and as arms usually are held; what explains the view best then stays.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from habitus.body.state import BodyState
+from habitus.fit.points.depth_energy import (
+    DepthEnergy,
+    Drawn,
+    degrees_between,
+    in_pelvis_frame,
+    look,
+    misfit,
+)
+from habitus.fit.points.depth_settings import DepthStage
+from habitus.fit.points.depth_start import Tried, arm_poses, refined
+from habitus.fit.points.prepared_views import Grid
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+
+LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
+
+
+def _stride(energy: DepthEnergy, k: int) -> int:
+    """Of pixels, that leaves about `DepthLimbSettings.pixels` of the person."""
+    pixels = energy.settings.limbs.pixels
+    return int(np.clip(np.sqrt(energy.views[k].mask.sum() / pixels), 1, 4))
+
+
+def retry_limbs(
+    energy: DepthEnergy, state: BodyState, means: Float[np.ndarray, "K J 3"]
+) -> tuple[BodyState, Float[np.ndarray, "K J 3"]]:
+    """The state with limbs in doubt where they explain their views best, and what the pose's prior
+    is then around.
+    """
+    for _ in range(energy.settings.limbs.passes):
+        before = state
+        for k in range(len(energy.views)):
+            state, means = _of_view(energy, state, means, k)
+        if state is before:
+            break
+    return state, means
+
+
+def _of_view(
+    energy: DepthEnergy, state: BodyState, means: Float[np.ndarray, "K J 3"], k: int
+) -> tuple[BodyState, Float[np.ndarray, "K J 3"]]:
+    """Limbs of one view, and the whole pose of another view, facing either way, where pixels are
+    unexplained or several limbs are elsewhere; the state as it is where nothing is in doubt.
+    """
+    settings = energy.settings
+    grid = energy.views[k].grid(_stride(energy, k))
+    drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
+    unexplained = _unexplained(grid, drawn, settings.explained_distance)
+    lost = unexplained > settings.limbs.max_unexplained
+    first = Tried(
+        BodyState(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]),
+        means[k],
+        misfit(grid, drawn, settings),
+    )
+    now = first
+    limbs = [(limb, _rows(energy, side, limb)) for limb in LIMBS for side in ("left", "right")]
+    inconsistent = _inconsistent(energy, state, k, [rows for _, rows in limbs])
+    for (limb, rows), doubtful in zip(limbs, inconsistent, strict=True):
+        if len(rows) and (doubtful or (lost and limb == "arm")):
+            now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
+    if (lost or sum(inconsistent) > 1) and len(state.pose) > 1:
+        ways = [
+            _turned(pose, state.pose[k], yaw)
+            for j, pose in enumerate(state.pose)
+            if j != k
+            for yaw in settings.limbs.turns
+        ]
+        now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
+    if now is first:
+        return state, means
+    pose = state.pose.copy()
+    trans = state.trans.copy()
+    around = means.copy()
+    pose[k], trans[k], around[k] = now.state.pose[0], now.state.trans[0], now.mean
+    return BodyState(state.betas, pose, trans), around
+
+
+def _inconsistent(
+    energy: DepthEnergy, state: BodyState, k: int, limbs: Sequence[Int[np.ndarray, " _"]]
+) -> list[bool]:
+    """Whether each limb, given by its joints, is elsewhere or rotated in another view than in
+    view k.
+    """
+    settings = energy.settings.limbs
+    joints, rotations = in_pelvis_frame(energy.body, state)
+    distance = np.linalg.norm(joints - joints[k], axis=-1).max(0)
+    angle = degrees_between(rotations, rotations[k]).max(0)
+    wrong = (distance > settings.max_difference) | (angle > settings.max_turn)
+    return [bool(wrong[rows].any()) for rows in limbs]
+
+
+def _unexplained(grid: Grid, drawn: Drawn, distance: float) -> float:
+    """Share of the person's pixels that are further from the body than ``distance`` (m)."""
+    if not len(drawn.points):
+        return 1.0
+    return float((KDTree(drawn.points).query(grid.points[grid.person])[0] > distance).mean())
+
+
+def _rows(energy: DepthEnergy, side: str, limb: str) -> Int[np.ndarray, " j"]:
+    """Joints of a limb."""
+    names = [f"{side}_{part}" for part in LIMBS[limb]]
+    return np.array(
+        [k for k, name in enumerate(energy.body.joint_names) if name in names], dtype=np.int64
+    )
+
+
+def _ways(
+    energy: DepthEnergy, state: BodyState, k: int, limb: str
+) -> list[Float[np.ndarray, "J 3"]]:
+    """Poses that have a limb otherwise: those of other views, and the usual ones of arms."""
+    others = [pose for j, pose in enumerate(state.pose) if j != k]
+    return others + (
+        list(arm_poses(energy.body, energy.settings.search.arms)) if limb == "arm" else []
+    )
+
+
+def _best_way(
+    energy: DepthEnergy,
+    k: int,
+    now: Tried,
+    rows: Int[np.ndarray, " j"],
+    ways: list[Float[np.ndarray, "J 3"]],
+) -> Tried:
+    """The way to hold a limb that explains view k best after some steps, coarse for all and fine
+    for the best; ``now`` itself where none is better.
+    """
+    settings = energy.settings
+    stride = _stride(energy, k)
+    coarse = replace(settings.search.coarse[-1][1], stride=2 * stride)
+    fine = replace(settings.limbs.fine, stride=stride)
+    tried = [_stepped(energy, k, _held(now, way, rows), coarse) for way in ways]
+    tried = sorted(tried, key=lambda start: start.misfit)[: settings.limbs.kept]
+    stays, *others = (_stepped(energy, k, start, fine) for start in (now, *tried))
+    best = min(others, key=lambda start: start.misfit)
+    return best if best.misfit < settings.limbs.improvement * stays.misfit else now
+
+
+def _turned(
+    pose: Float[np.ndarray, "J 3"], own: Float[np.ndarray, "J 3"], degrees: float
+) -> Float[np.ndarray, "J 3"]:
+    """A pose of another view, turned as this view has it and by so many degrees more about the
+    upright.
+    """
+    turned = pose.copy()
+    more = matrix_from_rotvec(np.array([0.0, np.deg2rad(degrees), 0.0]))
+    turned[0] = rotvec_from_matrix(more @ matrix_from_rotvec(own[0]))
+    return turned
+
+
+def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:
+    """A limb held another way, its prior with it."""
+    pose = now.state.pose.copy()
+    mean = now.mean.copy()
+    pose[0, rows] = mean[rows] = way[rows]
+    return replace(now, state=replace(now.state, pose=pose), mean=mean)
+
+
+def _stepped(energy: DepthEnergy, k: int, start: Tried, stage: DepthStage) -> Tried:
+    """Some steps further; the misfit on finer pixels."""
+    fine = energy.views[k].grid(_stride(energy, k))
+    prepared = energy.body.prepare(start.state.betas)
+    start = refined(energy, k, prepared, start, stage)
+    surface = prepared(start.state.pose[0], start.state.trans[0]).vertices
+    return replace(
+        start, misfit=misfit(fine, look(fine, surface, energy.triangles), energy.settings)
+    )
