@@ -35,7 +35,7 @@ from habitus.fit.verdict import (
     worst,
 )
 
-SEEN_PEOPLE = PeopleLimits(above=Bound(0.15, 0.35), head=HEAD)
+SEEN_PEOPLE = PeopleLimits(above=Bound(0.15, 0.25), head=HEAD)
 """Clothes and hair are measured, too, and only add to girths; a person smaller than adults may be a
 child."""
 
