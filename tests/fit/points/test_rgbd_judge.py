@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from habitus.fit.points.depth_evidence import Evidence, ViewEvidence, _end_names, body_evidence
+from habitus.fit.points.depth_evidence import Evidence, ViewEvidence, body_evidence, end_names
 from habitus.fit.points.depth_result import judge
 from habitus.io.models.bodies import load_body
 
@@ -81,7 +81,7 @@ def test_a_hand_off_its_pixels_is_a_matter_of_the_hands(share, hands, whole):
 
 def test_ends_have_names_and_sides():
     body = load_body("default")
-    names = _end_names(body)
+    names = end_names(body)
     assert set(names) == {"", "head", "left hand", "right hand", "left foot", "right foot"}
     rest = body.rest_vertices(np.zeros(body.num_betas))
     assert rest[names == "left hand", 0].min() > rest[names == "", 0].max() / 2

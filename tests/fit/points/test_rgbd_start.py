@@ -158,10 +158,9 @@ def test_a_view_that_begins_facing_the_wrong_way_is_turned_by_the_cost_of_its_fi
     view = scene.capture.views[0].in_camera_frame()
     energy = DepthEnergy.of(body, [PreparedView.of(view, segment(view))], settings)
     right = find_start(energy, (None,))
-    wrong = replace(
-        right.facing_opposite(0),
-        opposite=(Tried(right.state, right.means[0], right.misfits[0]),),
-    )
+    (other,) = right.opposite
+    own = Tried(right.state, right.means[0], right.misfits[0])
+    wrong = replace(right.with_view(0, other), opposite=(own,))
     facing = [matrix_from_rotvec(each.state.pose[0, 0])[2, 2] for each in (right, wrong)]
     assert facing[0] > 0.8 and facing[1] < -0.8
     field = SkinField.of(body, settings)

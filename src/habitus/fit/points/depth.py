@@ -196,9 +196,9 @@ def _rival(
 def _best_facing(
     name: str, energy: DepthEnergy, field: SkinField, start: Start
 ) -> tuple[_Attempt, Start]:
-    """The first body from a start, and from those that have a view face the other way: the one of
-    the lowest cost. Which way a person faces shows less in how near pixels are than in how unlikely
-    a shape explains them.
+    """The first body fitted from a start, and from those in which a view faces the other way: the
+    fit of the lowest cost, and its start. Pixels are nearly as close to a body that faces the wrong
+    way, but its shape and pose are less likely.
     """
 
     def attempt(start: Start) -> tuple[_Attempt, Start]:
@@ -207,7 +207,7 @@ def _best_facing(
     best = attempt(start)
     for k, other in enumerate(start.opposite):
         if other is not None:
-            turned = attempt(best[1].facing_opposite(k))
+            turned = attempt(best[1].with_view(k, other))
             best = min(best, turned, key=lambda tried: tried[0].history[-1])
     return best
 

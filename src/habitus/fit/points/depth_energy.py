@@ -170,16 +170,26 @@ def wrong_rows(grid: Grid, drawn: Drawn, clearance: float) -> Int[np.ndarray, " 
     return np.flatnonzero(~own & (behind > depth + clearance))
 
 
+def person_distances(grid: Grid, drawn: Drawn) -> Float[np.ndarray, " P"]:
+    """Distances (m) of the person's pixels from the nearest point of the model; infinite where none
+    is drawn.
+    """
+    person = grid.points[grid.person]
+    if not len(drawn.points):
+        return np.full(len(person), np.inf)
+    return np.asarray(KDTree(drawn.points).query(person)[0])
+
+
 def misfit(grid: Grid, drawn: Drawn, settings: RgbdSettings = STANDARD) -> float:
     """How badly the model explains a view: mean distance (m), capped, from the person's pixels to
     the model, and the cap for each pixel of the model that was seen through.
     """
     cap = settings.search.max_misfit_distance
-    person = grid.points[grid.person]
-    if not len(drawn.points) or not len(person):
+    distance = person_distances(grid, drawn)
+    if not len(drawn.points) or not len(distance):
         return 2.0 * cap
-    distance = np.minimum(KDTree(drawn.points).query(person)[0], cap).mean()
-    return float(distance + cap * len(wrong_rows(grid, drawn, settings.seen_through)) / len(person))
+    seen_through = len(wrong_rows(grid, drawn, settings.seen_through))
+    return float(np.minimum(distance, cap).mean() + cap * seen_through / len(distance))
 
 
 BLOCKS = ("trans", "pose")

@@ -14,12 +14,18 @@ from scipy.spatial import KDTree
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals
-from habitus.fit.points.depth_energy import degrees_between, in_pelvis_frame, look, wrong_rows
-from habitus.fit.points.depth_settings import RgbdSettings
+from habitus.fit.points.depth_energy import (
+    degrees_between,
+    in_pelvis_frame,
+    look,
+    person_distances,
+    wrong_rows,
+)
+from habitus.fit.points.depth_settings import STANDARD, RgbdSettings
+from habitus.fit.points.depth_start import yaw_of
 from habitus.fit.points.prepared_views import SEGMENTATIONS, PreparedView
 from habitus.fit.verdict import FEET, HANDS, HEAD, PARTS, SIDES, vertex_parts
 from habitus.render.triangles import Triangles
-from habitus.rotations import matrix_from_rotvec
 
 END_PARTS: Mapping[str, str] = MappingProxyType({"head": HEAD, "hand": HANDS, "foot": FEET})
 """The part in `habitus.fit.verdict.PARTS` of an end of the body."""
@@ -51,10 +57,10 @@ class ViewEvidence:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the verdict is drawn from. limb_apart, limb_turned: how far (m; degrees) a limb's
-    joint, seen from the pelvis, is elsewhere or turned in another view, and which; None of one
-    view. age, stature: the body's
-    age, if it was brought to one (years), and how tall its mean person is (m).
+    """All that the verdict is drawn from. limb_apart, limb_turned: the largest difference of a limb
+    joint's position (m) and rotation (degrees), relative to the pelvis, between two views, and the
+    joint; None of one view. explained_distance, end_distance: of the settings (m). age, stature:
+    the body's age, if it was brought to one (years), and the height of its mean person (m).
     """
 
     views: tuple[ViewEvidence, ...]
@@ -67,6 +73,8 @@ class Evidence:
     height_seen: float | None
     limb_apart: tuple[float, str] | None = None
     limb_turned: tuple[float, str] | None = None
+    explained_distance: float = STANDARD.explained_distance
+    end_distance: float = STANDARD.end_distance
     age: float | None = None
     stature: float = 0.0
 
@@ -79,11 +87,11 @@ def gather(
     surfaces: Float[np.ndarray, "K V 3"],
     skin: Float[np.ndarray, " V"],
 ) -> Evidence:
-    """The evidence of a fit. surfaces: as they were seen, with what is worn; skin: off the model,
-    along normals (m).
+    """The evidence of a fit. surfaces: of each view (m), with skin offsets, clothes and hair; skin:
+    offsets of the skin from the model, outwards along its normals (m).
     """
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
-    ends = _end_names(body)
+    ends = end_names(body)
     views = tuple(
         _of_view(
             view,
@@ -109,6 +117,8 @@ def gather(
             each for each in SEGMENTATIONS if any(s.segmentation == each for s in prepared)
         ),
         height_seen=height,
+        explained_distance=settings.explained_distance,
+        end_distance=settings.end_distance,
         **_between_views(body, state),
         **body_evidence(body, state.betas, skin),
     )
@@ -132,8 +142,8 @@ def body_evidence(
 
 
 def _between_views(body: BodyModel, state: BodyState) -> dict[str, tuple[float, str] | None]:
-    """People who are seen twice stand alike: a limb that one view has elsewhere, or turned about
-    itself, is wrong in one of them.
+    """How much limbs differ between the views: people keep their pose, so that a limb with another
+    position or rotation is wrong in one of the views.
     """
     limbs = [
         k
@@ -171,14 +181,8 @@ def _of_view(
     target = grid.points.reshape(-1, 3)[drawn.pixel[both]]
     off = ((target - drawn.points[both]) * drawn.normals[both]).sum(1)
     far = np.linalg.norm(drawn.points[both] - grid.eye, axis=1)
-    person = grid.points[grid.person]
-    distance = (
-        KDTree(drawn.points).query(person)[0]
-        if len(drawn.points)
-        else np.full(max(len(person), 1), np.inf)
-    )
+    distance = person_distances(grid, drawn)
     size = np.abs(off) if len(off) else np.array([np.nan])
-    facing = _facing(root)
     return ViewEvidence(
         view.view.name,
         float(1e3 * np.median(size)),
@@ -188,7 +192,7 @@ def _of_view(
         float((distance < settings.explained_distance).mean()),
         float(len(wrong_rows(grid, drawn, settings.seen_through)) / max(len(drawn.pixel), 1)),
         float((own & shown).sum() / max((own | shown).sum(), 1)),
-        float(np.rad2deg(np.arctan2(facing[0], facing[2]))),
+        float(np.rad2deg(yaw_of(root))),
         view.on_floor,
         view.cut_off,
         int(view.mask.sum()),
@@ -196,16 +200,16 @@ def _of_view(
             ends,
             vertices,
             ends[triangles.faces.numpy()[drawn.face, 0]],
-            person,
+            grid.points[grid.person],
             distance > settings.end_distance,
-        )
-        if len(drawn.points)
-        else MappingProxyType({}),
+        ),
     )
 
 
-def _end_names(body: BodyModel) -> np.ndarray:
-    """Of each vertex the name of the end that it belongs to, as "left hand"; "" of the body."""
+def end_names(body: BodyModel) -> np.ndarray:
+    """For each vertex the name of the head, hand or foot that it belongs to, as "left hand"; "" for
+    the rest of the body.
+    """
     singular = {part: end for end, part in END_PARTS.items()}
     parts = np.array([singular.get(part, "") for part in PARTS])[vertex_parts(body)]
     joints = np.array(body.joint_names)[body.strongest_joint]
@@ -222,7 +226,7 @@ def _ends_off(
     far: Bool[np.ndarray, " n"],
 ) -> Mapping[str, float]:
     """Pixels of each end that are far from the body, over its pixels: those that are nearest to it
-    or those that the body's would fill, whichever are more. names: as `_end_names`; drawn: those of
+    or those that the body's would fill, whichever are more. names: as `end_names`; drawn: those of
     the body's pixels.
     """
     nearest = names[KDTree(vertices).query(person)[1]] if len(person) else names[:0]
@@ -231,7 +235,3 @@ def _ends_off(
         own = nearest == name
         shares[name] = float((own & far).sum() / max(own.sum(), (drawn == name).sum()))
     return MappingProxyType(shares)
-
-
-def _facing(root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    return np.asarray(matrix_from_rotvec(root))[:, 2]

@@ -1,8 +1,8 @@
-"""Limbs of a fit to depth views placed again.
+"""Limbs of a fit to depth views, fitted again where they are in doubt.
 
-A limb that one view has elsewhere than another, or rotated otherwise, or that leaves pixels
-unexplained, is tried again: people who are seen twice stand alike, so a lost arm is tried as the
-other views have it, and as arms usually are held; what explains the view best then stays.
+A limb is in doubt where its position or rotation differs between the views, or where pixels are
+unexplained. People keep their pose from view to view, so that the poses of the other views are
+tried, and for arms the usual ones; the pose with the least misfit is kept.
 """
 
 from collections.abc import Sequence
@@ -10,20 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 
 from habitus.body.state import BodyState
 from habitus.fit.points.depth_energy import (
     DepthEnergy,
-    Drawn,
     degrees_between,
     in_pelvis_frame,
     look,
     misfit,
+    person_distances,
 )
 from habitus.fit.points.depth_settings import DepthStage
-from habitus.fit.points.depth_start import Tried, arm_poses, refined
-from habitus.fit.points.prepared_views import Grid
+from habitus.fit.points.depth_start import Tried, arm_poses, refined, with_view
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
@@ -59,8 +57,8 @@ def _of_view(
     settings = energy.settings
     grid = energy.views[k].grid(_stride(energy, k))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
-    unexplained = _unexplained(grid, drawn, settings.explained_distance)
-    lost = unexplained > settings.limbs.max_unexplained
+    unexplained = (person_distances(grid, drawn) > settings.explained_distance).mean()
+    lost = bool(unexplained > settings.limbs.max_unexplained)
     first = Tried(
         BodyState(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]),
         means[k],
@@ -71,29 +69,23 @@ def _of_view(
     inconsistent = _inconsistent(energy, state, k, [rows for _, rows in limbs])
     for (limb, rows), doubtful in zip(limbs, inconsistent, strict=True):
         if len(rows) and (doubtful or (lost and limb == "arm")):
-            now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
+            now = _best_pose(energy, k, now, rows, _other_poses(energy, state, k, limb))
     if (lost or sum(inconsistent) > 1) and len(state.pose) > 1:
-        ways = [
-            _turned(pose, state.pose[k], yaw)
+        poses = [
+            _facing_as(pose, state.pose[k], yaw)
             for j, pose in enumerate(state.pose)
             if j != k
             for yaw in settings.limbs.turns
         ]
-        now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
-    if now is first:
-        return state, means
-    pose = state.pose.copy()
-    trans = state.trans.copy()
-    around = means.copy()
-    pose[k], trans[k], around[k] = now.state.pose[0], now.state.trans[0], now.mean
-    return BodyState(state.betas, pose, trans), around
+        now = _best_pose(energy, k, now, np.arange(energy.body.num_joints), poses)
+    return (state, means) if now is first else with_view(state, means, k, now)
 
 
 def _inconsistent(
     energy: DepthEnergy, state: BodyState, k: int, limbs: Sequence[Int[np.ndarray, " _"]]
 ) -> list[bool]:
-    """Whether each limb, given by its joints, is elsewhere or rotated in another view than in
-    view k.
+    """Whether the position or rotation of each limb, given by its joints, differs between view k
+    and another one.
     """
     settings = energy.settings.limbs
     joints, rotations = in_pelvis_frame(energy.body, state)
@@ -101,13 +93,6 @@ def _inconsistent(
     angle = degrees_between(rotations, rotations[k]).max(0)
     wrong = (distance > settings.max_difference) | (angle > settings.max_turn)
     return [bool(wrong[rows].any()) for rows in limbs]
-
-
-def _unexplained(grid: Grid, drawn: Drawn, distance: float) -> float:
-    """Share of the person's pixels that are further from the body than ``distance`` (m)."""
-    if not len(drawn.points):
-        return 1.0
-    return float((KDTree(drawn.points).query(grid.points[grid.person])[0] > distance).mean())
 
 
 def _rows(energy: DepthEnergy, side: str, limb: str) -> Int[np.ndarray, " j"]:
@@ -118,38 +103,38 @@ def _rows(energy: DepthEnergy, side: str, limb: str) -> Int[np.ndarray, " j"]:
     )
 
 
-def _ways(
+def _other_poses(
     energy: DepthEnergy, state: BodyState, k: int, limb: str
 ) -> list[Float[np.ndarray, "J 3"]]:
-    """Poses that have a limb otherwise: those of other views, and the usual ones of arms."""
+    """Poses to take a limb's joints from: those of other views, and the usual ones of arms."""
     others = [pose for j, pose in enumerate(state.pose) if j != k]
     return others + (
         list(arm_poses(energy.body, energy.settings.search.arms)) if limb == "arm" else []
     )
 
 
-def _best_way(
+def _best_pose(
     energy: DepthEnergy,
     k: int,
     now: Tried,
     rows: Int[np.ndarray, " j"],
-    ways: list[Float[np.ndarray, "J 3"]],
+    poses: list[Float[np.ndarray, "J 3"]],
 ) -> Tried:
-    """The way to hold a limb that explains view k best after some steps, coarse for all and fine
-    for the best; ``now`` itself where none is better.
+    """Of the poses of some joints (``rows``), the one with the least misfit in view k after coarse
+    steps of all and fine steps of the best; ``now`` where none is better.
     """
     settings = energy.settings
     stride = _stride(energy, k)
     coarse = replace(settings.search.coarse[-1][1], stride=2 * stride)
     fine = replace(settings.limbs.fine, stride=stride)
-    tried = [_stepped(energy, k, _held(now, way, rows), coarse) for way in ways]
+    tried = [_refined(energy, k, _with_limb(now, other, rows), coarse) for other in poses]
     tried = sorted(tried, key=lambda start: start.misfit)[: settings.limbs.kept]
-    stays, *others = (_stepped(energy, k, start, fine) for start in (now, *tried))
+    stays, *others = (_refined(energy, k, start, fine) for start in (now, *tried))
     best = min(others, key=lambda start: start.misfit)
     return best if best.misfit < settings.limbs.improvement * stays.misfit else now
 
 
-def _turned(
+def _facing_as(
     pose: Float[np.ndarray, "J 3"], own: Float[np.ndarray, "J 3"], degrees: float
 ) -> Float[np.ndarray, "J 3"]:
     """A pose of another view, turned as this view has it and by so many degrees more about the
@@ -161,15 +146,15 @@ def _turned(
     return turned
 
 
-def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:
-    """A limb held another way, its prior with it."""
+def _with_limb(now: Tried, other: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:
+    """With the joints of a limb, and what their prior is around, from another pose."""
     pose = now.state.pose.copy()
     mean = now.mean.copy()
-    pose[0, rows] = mean[rows] = way[rows]
+    pose[0, rows] = mean[rows] = other[rows]
     return replace(now, state=replace(now.state, pose=pose), mean=mean)
 
 
-def _stepped(energy: DepthEnergy, k: int, start: Tried, stage: DepthStage) -> Tried:
+def _refined(energy: DepthEnergy, k: int, start: Tried, stage: DepthStage) -> Tried:
     """Some steps further; the misfit on finer pixels."""
     fine = energy.views[k].grid(_stride(energy, k))
     prepared = energy.body.prepare(start.state.betas)

@@ -1,5 +1,5 @@
-"""The result of a fit to depth views: a body, its poses in all views, what it looks like, and what
-that is worth: limits of the evidence, checks and sentences (`habitus.fit.verdict` weighs them).
+"""The result of a fit to depth views: a body, its poses in all views, its appearance and its
+verdict: limits of the evidence, checks and sentences (`habitus.fit.verdict` weighs them).
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -76,8 +76,10 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         **PEOPLE_SENTENCES,
         "depth": "Half of the depth pixels lie within {median:.1f} mm of the body, 95 % within "
         "{p95:.0f} mm{where}; the sensor's noise alone leaves {noise:.1f} mm.",
-        "unexplained": "{view}: {share} of the person's pixels are more than 5 cm from the body.",
-        "end": "{view}: {share} of the pixels of the {end} are more than 3 cm from the body.",
+        "unexplained": "{view}: {share} of the person's pixels are more than {distance:.0f} cm "
+        "from the body.",
+        "end": "{view}: {share} of the pixels of the {end} are more than {distance:.0f} cm "
+        "from the body.",
         "outside": "{view}: {share} of the body covers pixels where the background was seen.",
         "overlap": "{view}: body and person overlap by {share} only.",
         "height": "The person's highest point is {seen:.0f} cm above the floor; the body is "
@@ -122,7 +124,8 @@ def _explained(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
         level = below(view.explained, limits.explained)
         if level != GOOD:
             share = percent(1.0 - view.explained, 1)
-            yield Reason(level, "unexplained", {"view": view.name, "share": share})
+            values = {"view": view.name, "share": share, "distance": 100 * e.explained_distance}
+            yield Reason(level, "unexplained", values)
         level = above(view.outside, limits.outside)
         if level != GOOD:
             share = percent(view.outside, 1)
@@ -138,7 +141,12 @@ def _ends(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
         for end, share in view.ends.items():
             level = above(share, limits.ends)
             if level != GOOD:
-                values = {"view": view.name, "share": percent(share), "end": end}
+                values = {
+                    "view": view.name,
+                    "share": percent(share),
+                    "end": end,
+                    "distance": 100 * e.end_distance,
+                }
                 yield Reason(level, "end", values, END_PARTS[end.rpartition(" ")[2]])
 
 

@@ -153,8 +153,8 @@ class DepthSearchSettings:
     facing: float = 0.003
     """Misfit that is added for who turns their back: front and back differ by nose and toes."""
     rival_misfit: float = 1.3
-    """Misfit of the best start that faces the other way, in that of the best, up to which both are
-    fitted and the one of less cost goes on."""
+    """Ratio of the misfits of the best start that faces the other way and of the best start, up to
+    which both are fitted and the fit of lower cost is kept."""
     max_misfit_distance: float = 0.15
     """At which distances of the misfit are capped."""
     middle_steps: int = 2
@@ -207,8 +207,8 @@ class DepthLimbSettings:
     """Between a limb's joint in two views, seen from the pelvis: beyond it the limb is tried
     again."""
     max_turn: float = 60.0
-    """Degrees between the rotations of a limb's joint in two views, seen from the pelvis: beyond it
-    the limb is tried again. 26 is the most of 38 right fits; a half-turned forearm has 110."""
+    """Degrees between the rotations of a limb's joint in two views, relative to the pelvis: beyond
+    it the limb is fitted again. 26 is the most of 38 right fits; a half-turned forearm has 110."""
     max_unexplained: float = 0.01
     """Share of a person's pixels far from the body, beyond which both arms are tried again."""
     turns: tuple[float, ...] = (0.0, 30.0, -30.0, 180.0)

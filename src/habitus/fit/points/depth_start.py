@@ -7,7 +7,7 @@ joints lie a little behind the depth that is seen at them.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,8 +32,8 @@ from habitus.solve.terms import Quadratic, Term, geman_mcclure_weight
 @dataclass(frozen=True, eq=False)
 class Start:
     """Where a fit starts: the state of all views, the poses that its priors are around, the misfit
-    of each view, and of each view the best start that faces the other way, if it explains the view
-    nearly as well.
+    (m) of each view, and for each view the best start that faces the other way, None where its
+    misfit is too large (`DepthSearchSettings.rival_misfit`).
     """
 
     state: BodyState
@@ -41,15 +41,11 @@ class Start:
     misfits: tuple[float, ...]
     opposite: tuple["Tried | None", ...]
 
-    def facing_opposite(self, k: int) -> "Start":
-        """With view k facing the other way."""
-        other = self.opposite[k]
-        assert other is not None
-        pose, trans, means = self.state.pose.copy(), self.state.trans.copy(), self.means.copy()
-        pose[k], trans[k], means[k] = other.state.pose[0], other.state.trans[0], other.mean
+    def with_view(self, k: int, other: "Tried") -> "Start":
+        """With another start of view k."""
+        state, means = with_view(self.state, self.means, k, other)
         misfits = (*self.misfits[:k], other.misfit, *self.misfits[k + 1 :])
-        opposite = (*self.opposite[:k], None, *self.opposite[k + 1 :])
-        return Start(BodyState(self.state.betas, pose, trans), means, misfits, opposite)
+        return replace(self, state=state, means=means, misfits=misfits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +61,22 @@ class Tried:
     @property
     def yaw(self) -> float:
         """The turn from facing the camera's way back (rad)."""
-        return _yaw(self.state.pose[0, 0])
+        return yaw_of(self.state.pose[0, 0])
 
 
-def _yaw(root: Float[np.ndarray, " 3"]) -> float:
+def with_view(
+    state: BodyState, means: Float[np.ndarray, "K J 3"], k: int, view: Tried
+) -> tuple[BodyState, Float[np.ndarray, "K J 3"]]:
+    """The state of all views, and the poses that their priors are around, with those of one view
+    replaced.
+    """
+    pose, trans, means = state.pose.copy(), state.trans.copy(), means.copy()
+    pose[k], trans[k], means[k] = view.state.pose[0], view.state.trans[0], view.mean
+    return replace(state, pose=pose, trans=trans), means
+
+
+def yaw_of(root: Float[np.ndarray, " 3"]) -> float:
+    """The turn (rad) of a root's rotation vector about the upright, 0 facing the camera."""
     forward = matrix_from_rotvec(root)[:, 2]
     return float(np.arctan2(forward[0], forward[2]))
 
@@ -143,7 +151,7 @@ def _best(
     grid = view.grid(settings.stride)
     poses = list(arm_poses(body, settings.arms, settings.leg_spread))
     if given is not None:
-        turns = tuple(np.rad2deg(_yaw(given[0])) + aside for aside in settings.side_turns)
+        turns = tuple(np.rad2deg(yaw_of(given[0])) + aside for aside in settings.side_turns)
         poses = [np.concatenate([np.zeros((1, 3)), given[1:]]), *poses]
     posed = pose_of_keypoints(body, view, betas, settings) if given is None else None
     if posed is not None:
