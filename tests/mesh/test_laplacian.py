@@ -3,6 +3,7 @@
 import numpy as np
 import trimesh
 from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
 
 from habitus.mesh.laplacian import cotangent_laplacian, eliminate_holes, fill_holes
 
@@ -51,6 +52,18 @@ def test_without_holes_the_laplacian_measures_the_least_that_any_filling_has():
         other = np.where(seen, values, filled + 0.1 * rng.normal(size=30))
         assert other @ (laplacian @ other) > filled @ (laplacian @ filled)
     assert eliminate_holes(laplacian, np.ones(30, bool)) is laplacian
+
+
+def test_a_laplacian_is_semidefinite_whatever_its_triangles():
+    rng = np.random.default_rng(5)
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    for angle in (1e-1, 1e-2, 1e-4, 1e-7, 0.0):
+        for _ in range(20):
+            flat = np.array([[0.0, 0.0], [1.0, 0.0], [rng.uniform(0.1, 0.9), angle], [1.5, -1.0]])
+            vertices = 0.01 * np.pad(flat, ((0, 0), (0, 1))) @ Rotation.random(rng=rng).as_matrix()
+            laplacian, _ = cotangent_laplacian(vertices, faces)
+            values = np.linalg.eigvalsh(laplacian.toarray())
+            assert values.min() > -1e-9 * values.max()
 
 
 def test_the_laplacian_of_a_constant_is_zero_and_the_areas_add_up():

@@ -29,6 +29,8 @@ E = TypeVar("E")
 L = TypeVar("L")
 
 GOOD, DOUBTFUL, FAILED = LEVELS = ("good", "doubtful", "failed")
+NOT_FINITE = "not finite"
+"""The status of a solve that met a cost, gradient or matrix with numbers that are not finite."""
 BODY, HEAD, HANDS, FEET = PARTS = ("body", "head", "hands", "feet")
 MILDER: Mapping[str, str] = MappingProxyType({GOOD: GOOD, DOUBTFUL: GOOD, FAILED: DOUBTFUL})
 """What the level of a part other than the body makes of the whole."""
@@ -338,8 +340,17 @@ def shape_reasons(
         yield Reason(level, "shape", {"largest": largest, "rms": rms})
 
 
-PEOPLE_SENTENCES: Mapping[str, str] = MappingProxyType(
+def solver_reasons(status: str) -> Iterator[Reason]:
+    """A solve that ended with the status (`habitus.minimize`) "not finite" has failed: its state is
+    that of the step before, wherever that was.
+    """
+    if status == NOT_FINITE:
+        yield Reason(FAILED, NOT_FINITE)
+
+
+COMMON_SENTENCES: Mapping[str, str] = MappingProxyType(
     {
+        NOT_FINITE: "The solver met a cost that is not finite and ended early.",
         "measurement": "The body's {name} is {value}; {people} have {least} to {most}{more}.",
         "proportions": "Height, head and feet are {distance:.1f} standard deviations from the mean "
         "adult's proportions; no adult of a survey is beyond 5.4: data may be stretched along an "
@@ -348,8 +359,7 @@ PEOPLE_SENTENCES: Mapping[str, str] = MappingProxyType(
         "({rms:.1f} RMS).",
     }
 )
-"""Sentences of `measurement_reasons`, `proportion_reasons` and `shape_reasons`, for a recipe's own
-to be joined to."""
+"""Sentences of the reasons here, for a recipe's own to be joined to."""
 
 
 def words(name: str) -> str:

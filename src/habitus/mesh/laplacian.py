@@ -9,6 +9,7 @@ from scipy.sparse.linalg import splu
 
 from habitus.mesh.normals import face_normals
 
+_MAX_HALF_COTANGENT = 10.0  # of a face; beyond it all its cotangents are scaled down alike
 _FAINT = 1e-9  # holds pieces of the mesh of which nothing is seen at zero
 
 
@@ -25,22 +26,15 @@ def cotangent_laplacian(
     count = len(vertices)
     corners = vertices[faces]
     double = np.maximum(np.linalg.norm(face_normals(vertices, faces), axis=1), 1e-12)
-    rows = []
-    columns = []
-    values = []
-    for k in range(3):
-        i = faces[:, (k + 1) % 3]
-        j = faces[:, (k + 2) % 3]
-        a = corners[:, (k + 1) % 3] - corners[:, k]
-        b = corners[:, (k + 2) % 3] - corners[:, k]
-        half = np.clip(0.5 * (a * b).sum(1) / double, -10.0, 10.0) * (
-            1.0 if share is None else share
-        )
-        rows += [i, j, i, j]
-        columns += [j, i, i, j]
-        values += [-half, -half, half, half]
+    ahead, behind = np.roll(corners, -1, 1) - corners, np.roll(corners, 1, 1) - corners
+    half = 0.5 * (ahead * behind).sum(2) / double[:, None]
+    half *= (_MAX_HALF_COTANGENT / np.maximum(np.abs(half).max(1), _MAX_HALF_COTANGENT))[:, None]
+    if share is not None:
+        half *= share[:, None]
+    i, j = np.roll(faces, -1, 1).ravel(), np.roll(faces, 1, 1).ravel()
+    values = np.concatenate([-half, -half, half, half], None)
+    table = (values, (np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j])))
     area = np.bincount(faces.ravel(), np.repeat(double / 6.0, 3), count)
-    table = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return csc_array(coo_array(table, shape=(count, count))), np.maximum(area, 1e-9)
 
 

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from habitus import load_body
+from habitus.body.hands import hand_pose
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
@@ -69,6 +70,18 @@ def test_a_field_has_the_spread_and_the_range_it_is_asked_for(smoothness):
         alike[apart < 0.05].min() > 0.8
         and 0.05 < alike[(apart > 0.28) & (apart < 0.32)].mean() < 0.25
     )
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_the_precision_of_a_field_on_clenched_hands_is_positive_definite(seed):
+    body = load_body("female", joints="smplh")
+    rng = np.random.default_rng(seed)
+    pose = np.zeros((body.num_joints, 3))
+    for joint, rotation in hand_pose(body, "fist").items():
+        pose[body.joint_names.index(joint)] = 1.3 * rotation + 0.2 * rng.normal(size=3)
+    surface = np.asarray(body(np.zeros(body.num_betas), pose).vertices)
+    precision = field_precision(body.faces, surface, offset_spread(body), smoothness=2)
+    assert factored(precision).U.diagonal().min() > 0.0
 
 
 def test_the_inverse_product_is_that_of_a_dense_inverse():

@@ -49,6 +49,11 @@ def test_a_body_lower_than_the_person_and_a_rare_shape_are_doubted():
     assert judge(replace(SOUND, beta_max=9.5)).level == "failed"
 
 
+def test_a_solve_that_met_numbers_that_are_not_finite_has_failed():
+    verdict = judge(replace(SOUND, status="not finite"))
+    assert verdict.level == "failed" and "not finite" in verdict.reasons[0]
+
+
 @pytest.mark.parametrize("years", [5.0, 8.0, 10.0])
 def test_a_child_is_held_to_the_limits_of_its_age(years):
     body = load_body("default").at_age(years)

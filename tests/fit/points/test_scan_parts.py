@@ -222,30 +222,15 @@ def test_a_lost_piece_counts_by_its_area_however_dense_the_points_are():
 def test_the_verdict_follows_the_numbers():
     good = {
         "betas": np.ones(4),
-        "to_surface": np.full(100, 3e-4),
-        "to_model": np.full(100, 3e-3),
-        "matched": 0.99,
-        "pose_distance": 1.0,
-        "seen": 0.9,
-        "rival": None,
         "lost": 0.001,
-        "person": True,
-        "lost_part": "body",
         "cuts": {"body": 3, "head": 20},
         "crossed_legs": 20,
-        "limbs": {},
         "islands": 0.02,
         "head_seen": 0.9,
         "limbs_seen": {"left_elbow": 0.5, "right_knee": 1.0},
-        "points": 40_000,
-        "joint_deviation": 3.0,
-        "unlike": 0.0,
-        "rarest_joint": "left_hip",
-        "clothed": 0.0,
         "measurements": {"height_m": 1.75},
-        "body": SimpleNamespace(age=None, v_template=np.zeros((2, 3))),
     }
-    assert judge_scan(SimpleNamespace(**good)).level == "good"
+    assert judge_scan(scan_evidence(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.01}, "doubtful"), ({"lost": 0.02}, "failed"),
         ({"matched": 0.5}, "failed"), ({"cuts": {"body": 150}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
@@ -257,8 +242,9 @@ def test_the_verdict_follows_the_numbers():
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
+        ({"status": "not finite"}, "failed"),
     ):  # fmt: skip
-        verdict = judge_scan(SimpleNamespace(**(good | change)))
+        verdict = judge_scan(scan_evidence(**(good | change)))
         assert verdict.level == level and len(verdict.reasons) >= 1
 
 
@@ -287,7 +273,7 @@ def scan_evidence(**changes):
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
     good |= {"joint_deviation": 3.0, "unlike": 0.0, "rarest_joint": "neck"}
-    good |= {"points": 40_000, "clothed": 0.0, "crossed_legs": 0}
+    good |= {"status": "iterations", "points": 40_000, "clothed": 0.0, "crossed_legs": 0}
     good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "limbs_seen": {}, "measurements": {}}
     good |= {"body": SimpleNamespace(age=None, v_template=np.zeros((2, 3)))}
     return SimpleNamespace(**(good | changes))

@@ -11,9 +11,9 @@ import numpy as np
 from habitus.body.prior import prior_of
 from habitus.fit.cameras.solution import CameraSolution
 from habitus.fit.verdict import (
+    COMMON_SENTENCES,
     DOUBTFUL,
     GOOD,
-    PEOPLE_SENTENCES,
     Bound,
     Reason,
     Verdict,
@@ -21,6 +21,7 @@ from habitus.fit.verdict import (
     below,
     percent,
     shape_reasons,
+    solver_reasons,
     weigh,
     worst,
 )
@@ -62,7 +63,12 @@ LIMITS = CameraLimits()
 
 def judge_cameras(fit: CameraSolution, limits: CameraLimits = LIMITS) -> Verdict:
     """The verdict on a fit."""
-    return weigh((_residuals, _calibration, _coverage, _person, _motion), fit, limits, SENTENCES)
+    checks = (_solver, _residuals, _calibration, _coverage, _person, _motion)
+    return weigh(checks, fit, limits, SENTENCES)
+
+
+def _solver(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
+    return solver_reasons(fit.status)
 
 
 def _shares(fit: CameraSolution) -> np.ndarray:
@@ -163,6 +169,6 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "height": "The body is {height:.0f} cm tall; {given:.0f} cm were given.",
         "acceleration": "Joints accelerate by {value:.0f} m/s^2 (RMS); the motion trembles.",
         "pose": "Poses are {value:.1f} standard deviations (RMS) from usual ones.",
-        **PEOPLE_SENTENCES,
+        **COMMON_SENTENCES,
     }
 )

@@ -13,6 +13,7 @@ from habitus.fit.markers.shape import HOPELESS
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.fit.verdict import (
     BODY,
+    COMMON_SENTENCES,
     DOUBTFUL,
     FAILED,
     FEET,
@@ -21,7 +22,6 @@ from habitus.fit.verdict import (
     HEAD,
     PARTS,
     PEOPLE,
-    PEOPLE_SENTENCES,
     Bound,
     PeopleLimits,
     Range,
@@ -135,7 +135,7 @@ LIMITS = Limits()
 
 SENTENCES: Mapping[str, str] = MappingProxyType(
     {
-        **PEOPLE_SENTENCES,
+        **COMMON_SENTENCES,
         "no markers": "No marker was ever seen, so nothing determines the body.",
         "errors": "Markers lie {mean:.1f} mm from the body on average, 95 % within {p95:.0f} mm.",
         "large errors": "Markers lie {mean:.1f} mm from the body on average, 95 % within "

@@ -280,8 +280,8 @@ def fit_views(
     """
     fit = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
-    evidence = gather(fit.body, fit.state, fit.prepared_views, settings, fit.seen, fit.skin)
     state = fit.state
+    evidence = gather(fit.body, state, fit.prepared_views, settings, fit.seen, fit.skin, fit.status)
     sex_note = ()
     if not isinstance(bodies, BodyModel):
         name = gender = fit.kind

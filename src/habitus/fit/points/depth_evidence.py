@@ -60,7 +60,8 @@ class Evidence:
     """All that the verdict is drawn from. limb_apart, limb_turned: the largest difference of a limb
     joint's position (m) and rotation (degrees), relative to the pelvis, between two views, and the
     joint; None of one view. explained_distance, end_distance: of the settings (m). age, stature:
-    the body's age, if it was brought to one (years), and the height of its mean person (m).
+    the body's age, if it was brought to one (years), and the height of its mean person (m). status:
+    how the last solve ended (`habitus.minimize`).
     """
 
     views: tuple[ViewEvidence, ...]
@@ -77,6 +78,7 @@ class Evidence:
     end_distance: float = STANDARD.end_distance
     age: float | None = None
     stature: float = 0.0
+    status: str = "converged"
 
 
 def gather(
@@ -86,9 +88,10 @@ def gather(
     settings: RgbdSettings,
     surfaces: Float[np.ndarray, "K V 3"],
     skin: Float[np.ndarray, " V"],
+    status: str,
 ) -> Evidence:
     """The evidence of a fit. surfaces: of each view (m), with skin offsets, clothes and hair; skin:
-    offsets of the skin from the model, outwards along its normals (m).
+    offsets of the skin from the model, outwards along its normals (m); status: of the last solve.
     """
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
     ends = end_names(body)
@@ -119,6 +122,7 @@ def gather(
         height_seen=height,
         explained_distance=settings.explained_distance,
         end_distance=settings.end_distance,
+        status=status,
         **_between_views(body, state),
         **body_evidence(body, state.betas, skin),
     )

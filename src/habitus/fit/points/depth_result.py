@@ -18,10 +18,10 @@ from habitus.fit.points.appearance import Appearance
 from habitus.fit.points.depth_evidence import END_PARTS, Evidence
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.fit.verdict import (
+    COMMON_SENTENCES,
     DOUBTFUL,
     GOOD,
     HEAD,
-    PEOPLE_SENTENCES,
     Bound,
     PeopleLimits,
     Reason,
@@ -31,6 +31,7 @@ from habitus.fit.verdict import (
     measurement_reasons,
     percent,
     shape_reasons,
+    solver_reasons,
     weigh,
     worst,
 )
@@ -73,7 +74,7 @@ LIMITS = RgbdLimits()
 
 SENTENCES: Mapping[str, str] = MappingProxyType(
     {
-        **PEOPLE_SENTENCES,
+        **COMMON_SENTENCES,
         "depth": "Half of the depth pixels lie within {median:.1f} mm of the body, 95 % within "
         "{p95:.0f} mm{where}; the sensor's noise alone leaves {noise:.1f} mm.",
         "unexplained": "{view}: {share} of the person's pixels are more than {distance:.0f} cm "
@@ -99,6 +100,10 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
 def judge(evidence: Evidence, limits: RgbdLimits = LIMITS) -> Verdict:
     """The verdict on the evidence of a fit."""
     return weigh(CHECKS, evidence, limits, SENTENCES)
+
+
+def _solver(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
+    return solver_reasons(e.status)
 
 
 def _depth(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
@@ -202,6 +207,7 @@ def _segmentation(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
 
 
 CHECKS: tuple[Callable[[Evidence, RgbdLimits], Iterator[Reason]], ...] = (
+    _solver,
     _depth,
     _explained,
     _ends,

@@ -18,12 +18,12 @@ from habitus.fit.points.scan import Cloud
 from habitus.fit.points.skin_grid import SkinGrid
 from habitus.fit.verdict import (
     BODY,
+    COMMON_SENTENCES,
     DOUBTFUL,
     FAILED,
     GOOD,
     HEAD,
     PARTS,
-    PEOPLE_SENTENCES,
     SIDES,
     Bound,
     PeopleLimits,
@@ -34,6 +34,7 @@ from habitus.fit.verdict import (
     enumerated,
     measurement_reasons,
     proportion_reasons,
+    solver_reasons,
     vertex_parts,
     weigh,
     worst,
@@ -151,7 +152,7 @@ LIMITS = ScanLimits()
 
 SENTENCES: Mapping[str, str] = MappingProxyType(
     {
-        **PEOPLE_SENTENCES,
+        **COMMON_SENTENCES,
         "person": "Nothing in the scan has the form of a person; only a rough start was fitted.",
         "model": "The model is {mm:.1f} mm from the scan (median).",
         "matched": "Only {percent:.0f} % of the scan is a surface of the body.",
@@ -192,6 +193,7 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     if not fit.person:
         yield Reason(FAILED, "person")
         return
+    yield from solver_reasons(fit.status)
     judged = fit.betas[: limits.judged_betas]
     betas = float(np.sqrt(np.mean(np.square(judged)))) if len(judged) else 0.0
     largest = float(np.abs(judged).max(initial=0.0))

@@ -12,7 +12,15 @@ from habitus.fit.retarget.robots import (
     floor_points,
     segment_distance,
 )
-from habitus.fit.verdict import Bound, Reason, Verdict, above, verdict_of
+from habitus.fit.verdict import (
+    NOT_FINITE,
+    Bound,
+    Reason,
+    Verdict,
+    above,
+    solver_reasons,
+    verdict_of,
+)
 
 AT_LIMIT = 1e-3
 """Radians from a limit at which a joint is at it."""
@@ -49,7 +57,7 @@ SENTENCES = {
     "penetration": "The robot is {value:.0f} mm below the ground.",
     "overlap": "Links enter one another by {value:.0f} mm.",
     "speed": "In {value:.0f} % of the frames a joint is at its limit of speed.",
-    "not finite": "The solver found no finite cost.",
+    NOT_FINITE: "The solver found no finite cost.",
     "no stand": "No foot of the person stands; the height of the ground is a guess.",
 }
 
@@ -217,9 +225,7 @@ def overlaps(result: RobotRetargeting, links: LinkPoses) -> Float[np.ndarray, " 
 def _reasons(
     result: RobotRetargeting, quality: RobotQuality, at_speed: float, limits: RobotLimits
 ) -> list[Reason]:
-    out = []
-    if result.status == "not finite":
-        out.append(Reason("failed", result.status))
+    out = [*solver_reasons(result.status)]
     if not quality.standing:
         out.append(Reason("doubtful", "no stand"))
     worst = max(quality.directions, key=lambda name: quality.directions[name].mean())
