@@ -55,8 +55,8 @@ fit.with_extremities = lambda fitter, state, cloud: state
 scans = jobs.SCANS
 few = {"candidates": 1, "drawn_poses": 0, "headings": 4, "checked": 8, "kept": 2, "refined": 1}
 jobs.SCANS = replace(
-    scans, offset_stages=scans.offset_stages[:1], search=replace(scans.search, **few),
-    limbs=replace(scans.limbs, rounds=0),
+    scans, offset_stages=(), last_stages=scans.offset_stages[:1],
+    search=replace(scans.search, **few), limbs=replace(scans.limbs, rounds=0),
     surface=replace(scans.surface, points=1500, stages=scans.surface.stages[:1], stretched=1.0),
 )
 """

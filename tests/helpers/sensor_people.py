@@ -19,7 +19,8 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 MOSH = replace(hb.FitSettings().mosh, soft_tissue=False)
 QUICK_SCANS = replace(
     SCANS,
-    offset_stages=SCANS.offset_stages[:1],
+    offset_stages=(),
+    last_stages=SCANS.offset_stages[:1],
     search=replace(
         SCANS.search, candidates=1, drawn_poses=0, headings=8, checked=60, kept=6, refined=2
     ),

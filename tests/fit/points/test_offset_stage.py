@@ -129,7 +129,9 @@ def point_rows(
     found = find_correspondences(fitter.topology, surface, cloud.points, cloud.normals)
     distance = np.linalg.norm(cloud.points - found.closest, axis=1)
     noise = STEP.noise_of(len(distance))
-    weight = geman_mcclure_weight(distance, STEP.scale) * (found.cosine > 0.5) / noise**2
+    agree = found.cosine > 0.5
+    scale = max(STEP.scale, fitter.settings.scale_ratio * np.median(distance[agree]))
+    weight = geman_mcclure_weight(distance, scale) * agree / noise**2
     rows = np.zeros((len(weight), len(model)))
     np.put_along_axis(rows, fitter.topology.faces[found.face], found.barycentric, axis=1)
     return rows, weight, ((cloud.points - rows @ model) * found.normal).sum(1) - rows @ mean
@@ -191,7 +193,7 @@ def test_a_frame_gains_by_the_one_before(fitter):
 
 
 def test_few_points_weigh_as_much_as_many_down_to_the_least_noise(fitter):
-    stage = fitter.settings.offset_stages[-1]
+    stage = fitter.settings.last_stages[0]
     assert stage.noise_of(stage.points) == stage.noise == stage.noise_of(10 * stage.points)
     half = stage.noise_of(stage.points // 2)
     weights = stage.points // 2 / half**2, stage.points / stage.noise**2

@@ -107,6 +107,25 @@ def test_the_closest_point_is_on_the_nearest_face_that_looks_the_same_way():
     )
 
 
+def test_the_robust_scale_follows_points_that_are_noisy():
+    ball = trimesh.creation.icosphere(4, 0.4)
+    topology = Topology.of(np.asarray(ball.faces), len(ball.vertices))
+    rng = np.random.default_rng(2)
+    out = np.asarray(ball.vertices) / 0.4
+    off = rng.normal(size=len(out))
+    weights = []
+    for noise in (0.0005, 0.004, 0.008):
+        points = out * (0.4 + noise * off)[:, None]
+        found = find_correspondences(topology, np.asarray(ball.vertices), points, out)
+        weights.append(found.weights(points, 0.003, 0.5, 3.0))
+        assert (found.weights(points, 0.003, 0.5) <= weights[-1]).all()
+    np.testing.assert_allclose(weights[1], weights[2], atol=0.01)
+    assert weights[0].mean() > 0.9 and weights[2].mean() > 0.6
+    np.testing.assert_array_equal(
+        found.weights(points, 0.1, 0.5, 3.0), found.weights(points, 0.1, 0.5)
+    )
+
+
 def test_a_free_surface_reaches_the_scan_and_goes_on_over_a_hole():
     topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
     cloud = on_ball(6000, 0.42)

@@ -27,15 +27,16 @@ A term costs 1/2 sum of weight x residual^2; metres, radians. w is Geman-McClure
 residual) with the scale of the stage.
 
 Scan energy (`scan_fitting`; thesis sec. 5.4 registers with a model term beside the scan's; the form
-of these terms is ours). Numbers are those of `ScanSettings.stages` and `.offset_stages`:
+of these terms is ours). Numbers are those of `ScanSettings.stages`, `.offset_stages` and
+`.last_stages`:
 
     term    weight                                 settings field          residual
     points  w min(1, 1500/N) / noise^2,            ScanStage.noise,        point to plane, and share
             noise 10, 5 mm                         effective_points        `slide` of point to point
-    offset  w / noise^2, noise 10, 4, 2.5 mm;      ScanStage.noise;        point to plane of model
-            prior Q: sd 4 mm (bony 2), range       offsets,                with offset; h about h0,
-            0.19, smoothness 1, at last 2; of      ScanStage.smoothness,   which a person's scans
-            several scans at last Q / 0.5^2        own_offsets             share
+    offset  w / noise^2, noise 10, 4, 2.5, 1.5,    ScanStage.noise;        point to plane of model
+            1 mm; prior Q: sd 4 mm (bony 2),       offsets,                with offset; h about h0,
+            range 0.19, smoothness 1, at last 2;   ScanStage.smoothness,   which a person's scans
+            of several scans at last Q / 0.5^2     own_offsets             share
     shape   1; in a sequence 1/0.5^2               ScanStage.shape,        betas - 0, or those of
                                                    shape_change            the frame before
     pose    1 x precision of the pose prior        ScanStage.pose          pose - mean, no root
@@ -44,7 +45,7 @@ of these terms is ours). Numbers are those of `ScanSettings.stages` and `.offset
 In "offset" all N points count in full, as neither the cap of 1500 nor `slide` applies: what points
 have in common the offset explains. On the scalp h0 and the standard deviation of h are the measured
 thickness of hair, and points there weigh `HairSettings.weight` in "points" once the pose is known
-(`clothes`). In the last stage each point of a scan of few has less noise
+(`clothes`). In the last stages each point of a scan of few has less noise
 (`ScanStage.noise_of`). Free surface (`free_surface`, thesis sec. 5.4): a thin plate,
 weights `SurfaceStage.stiffness` (mu) and `SurfaceSettings`.
 

@@ -61,10 +61,20 @@ class Correspondences:
         return ((points - self.closest) * self.normal).sum(1)
 
     def weights(
-        self, points: Float[np.ndarray, "N 3"], scale: float, min_cosine: float
+        self,
+        points: Float[np.ndarray, "N 3"],
+        scale: float,
+        min_cosine: float,
+        ratio: float = 0.0,
     ) -> Float[np.ndarray, " N"]:
-        """Robust weights: Geman-McClure of the distance, 0 where normals disagree."""
-        return geman_mcclure_weight(self.distances(points), scale) * (self.cosine > min_cosine)
+        """Robust weights: Geman-McClure of the distance, 0 where normals disagree. The scale is at
+        least ``ratio`` times the median distance of the points whose normals agree.
+        """
+        distances = self.distances(points)
+        agree = self.cosine > min_cosine
+        if ratio and agree.any():
+            scale = max(scale, ratio * float(np.median(distances[agree])))
+        return geman_mcclure_weight(distances, scale) * agree
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,7 +168,7 @@ def agreeing(
         skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured, settings)
         models = [fitter.vertices(state, k) for k in range(len(clouds))]
         matches = [_for_model(skin, k, some, models[k]) for k in range(len(clouds))]
-        fit = fitter.fit_with_offsets(state, clouds, fitter.settings.offset_stages[1:], matches)
+        fit = fitter.fit_with_offsets(state, clouds, fitter.settings.all_offset_stages[1:], matches)
         state = fit.state
         now = list(fit.surfaces)
     base = [

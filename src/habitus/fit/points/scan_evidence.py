@@ -76,7 +76,7 @@ def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float
     """E of all scans at surfaces that lie off the model along its normals."""
     state = fit.state
     settings = fitter.settings
-    last = settings.offset_stages[-1]
+    last = settings.last_stages[0]
     total = 0.5 * float(state.betas @ state.betas)
     for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
         model = fitter.vertices(state, k)

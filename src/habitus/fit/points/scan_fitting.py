@@ -17,7 +17,8 @@ scan's number of points (`ScanStage.noise_of`): h (V,) are skin offsets along th
 model, a random field with precision Q (`habitus.fit.offsets`). h is linear
 and eliminated from each step exactly (variable projection, Golub and Pereyra 1973): pose and shape
 then follow what a smooth offset cannot explain, the form of a knee sooner than the girth of a
-thigh.
+thigh. The scale of w_p is then at least `ScanSettings.scale_ratio` times the median distance, and
+scale and noise fall from stage to stage: points in wrong places count less and less.
 
 betas0 are 0 and theta0 is the prior's mean. h0 is m0: the thickness of tight clothes and of hair
 (`habitus.fit.points.clothes`, also for the weights w_p under loose clothes and of hair), 0
@@ -377,8 +378,9 @@ class OffsetEquations:
             correspondences = find_correspondences(
                 fitter.topology, surface, cloud.points, cloud.normals
             )
+            settings = fitter.settings
             weight = correspondences.weights(
-                cloud.points, stage.scale, fitter.settings.offset_min_cosine
+                cloud.points, stage.scale, settings.offset_min_cosine, settings.scale_ratio
             )
             variance = stage.noise_of(len(weight)) ** 2
             corners = faces[correspondences.face]

@@ -10,7 +10,7 @@ all scans of a person.
        E = 1/2 sum_p rho(d_p) / noise^2 + 1/2 h^T Q h + 1/2 |betas|^2
            + 1/2 (theta - mean)^T P (theta - mean)
 
-   Before the last stage hands are posed (`limbs.with_hands`), where the body has fingers.
+   Before the last stages hands are posed (`limbs.with_hands`), where the body has fingers.
 3. The free surface of each scan (`free_surface`), and how well the scan covers it
    (`correspondences.vertex_weights`). Where a piece of the scan lies off it, limbs are searched
    again from there.
@@ -89,7 +89,7 @@ class Registered:
 class Registrar:
     """A body prepared for registration, and ``others`` of its topology that may explain scans
     better; ``guesser`` makes what searches a pose from nothing, when it is needed; ``detailed``
-    gives the same body with finger joints and all its betas, for the last stage.
+    gives the same body with finger joints and all its betas, for the last stages.
     """
 
     body: BodyModel
@@ -283,7 +283,7 @@ class Registrar:
     def _fitted_best(self, scans: Sequence[Registered]) -> tuple["Registrar", list[Registered]]:
         """All scans together, with the body that explains them best, in full detail.
 
-        Which body that is shows before the last and longest stage, which it alone is given.
+        Which body that is shows before the last and longest stages, which it alone is given.
         """
         best, state = self._best_body(
             [scan.cloud for scan in scans], joined([scan.state for scan in scans])
@@ -295,20 +295,19 @@ class Registrar:
             if self.fitter.previous is None:
                 each = with_hands(best.fitter, each, cloud)
             begin.append(replace(scan, state=each, cloud=cloud))
-        return best, best._fitted(begin, self.settings.offset_stages[-1:])
+        return best, best._fitted(begin, self.settings.last_stages)
 
     def _best_body(
         self, clouds: Sequence[Cloud], start: BodyState
     ) -> tuple["Registrar", BodyState]:
-        """The body that explains the scans best, in full detail, and its state after all stages but
-        the last.
+        """The body that explains the scans best, in full detail; its state before the last stages.
 
-        The two bodies of least energy then take the first steps of the last stage, where skin
-        offsets are smoothest, and the one of less cost goes on: before them the neutral body, which
-        has women's and men's shapes among its own, explains some scans of either better than their
-        own body does, though it carries skin 1 to 1.5 mm further astray.
+        The two bodies of least energy take the first steps of these, where skin offsets are
+        smoothest, and the one of less cost goes on: before them the neutral body, with women's and
+        men's shapes among its own, explains some scans of either better than their own body does,
+        though it carries skin 1 to 1.5 mm further astray.
         """
-        *stages, last = self.settings.offset_stages
+        stages = self.settings.offset_stages
         if not stages:
             return self._in_detail(start)
 
@@ -325,7 +324,8 @@ class Registrar:
         best = map_on_threads(lambda detailed: detailed(), likely)
         if len(best) == 1:
             return best[0]
-        first = [replace(last, steps=self.settings.choice_steps, renewed_signs=False)]
+        few = self.settings.choice_steps
+        first = [replace(self.settings.last_stages[0], steps=few, renewed_signs=False)]
 
         def cost_of(candidate: tuple["Registrar", BodyState]) -> float:
             registrar, state = candidate
@@ -401,7 +401,7 @@ class Registrar:
                 replace(scan, state=state or scan.state)
                 for scan, state in zip(scans, searched, strict=True)
             ]
-            tried = self._fitted(begin, self.settings.offset_stages)
+            tried = self._fitted(begin, self.settings.all_offset_stages)
             left = [self._lost(scan) for scan in tried]
             if sum(left) >= sum(lost):
                 break
