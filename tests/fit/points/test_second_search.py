@@ -12,6 +12,7 @@ from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
 from habitus.fit.points.limbs import limbs_near, limbs_searched_again
 from habitus.fit.points.scan import Cloud, Scan
+from habitus.fit.points.scan_evidence import lost_share
 from habitus.fit.points.scan_start import Candidate, _about_face
 from habitus.fit.points.scans import Registered, Registrar, Start
 from habitus.mesh.normals import vertex_normals
@@ -117,6 +118,21 @@ def test_the_search_is_begun_where_a_piece_is_off_and_only_there(registrar, monk
     wrong = a_pose(registrar, left_shoulder=(0, 0, 1.0))
     registrar._limbs_searched([registered(registrar, wrong, cloud)])
     assert len(begun) == 1
+    mouth = with_mouth(registrar, truth, cloud)
+    distances = registrar.fitter.distances(registrar.fitter.vertices(truth), mouth)
+    assert lost_share(mouth.points, distances) > 0.005
+    registrar._limbs_searched([registered(registrar, truth, mouth)])
+    assert len(begun) == 1
+
+
+def with_mouth(registrar: Registrar, state: BodyState, cloud: Cloud) -> Cloud:
+    """A scan with 2 % more points on the inside of a mouth."""
+    own = registrar.body.strongest_joint == registrar.body.joint_names.index("head")
+    head = registrar.fitter.vertices(state)[own]
+    ball = np.random.default_rng(1).normal(size=(len(cloud.points) // 50, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    inside = head.mean(0) + 0.035 * ball
+    return Cloud(np.concatenate([cloud.points, inside]), np.concatenate([cloud.normals, -ball]))
 
 
 def chair() -> Scan:

@@ -47,7 +47,7 @@ from habitus.fit.points.scan_result import LIMITS, ScanFit, hair_notes, limbs_co
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import at_rest, carried, extended, joined
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
-from habitus.fit.verdict import HANDS, vertex_parts
+from habitus.fit.verdict import HANDS, HEAD, vertex_parts
 from habitus.mesh.normals import vertex_normals
 from habitus.parallel.workers import map_on_threads
 from habitus.residuals.points import PointSolver
@@ -410,15 +410,15 @@ class Registrar:
         return scans
 
     def _lost(self, scan: Registered) -> float:
-        """The share of a scan that lies together off its surface; 0 for fingers of posed hands,
-        which no search of limbs would place.
+        """The share of a scan that lies together off its surface; 0 for fingers of posed hands and
+        the inside of a mouth, which no search of limbs would place.
         """
         settings = self.fitter.settings.limbs
         distances = self.fitter.distances(scan.surface, scan.cloud)
         share, place = lost_piece(scan.cloud.points, distances, settings)
-        at_hands = part_around(self.body, scan.surface, place) == HANDS
-        fingers = has_hands(self.body) and at_hands and share < settings.lost_fingers
-        return 0.0 if fingers else share
+        fingers = settings.lost_fingers if has_hands(self.body) else 0.0
+        left = {HANDS: fingers, HEAD: settings.lost_mouth}
+        return 0.0 if share < left.get(part_around(self.body, scan.surface, place), 0.0) else share
 
     def _result(self, scan: Registered) -> ScanFit:
         state, topology, clothes = scan.state, self.fitter.topology, self.fitter.clothes

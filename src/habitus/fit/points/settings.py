@@ -281,6 +281,8 @@ class LimbSettings:
     lost_fingers: float = 0.01
     """Share of a scan that is lost at a posed hand up to which no limb is searched; a hand is .5 %.
     """
+    lost_mouth: float = 0.02
+    """The same at the head; the inside of an open mouth is 1.1 %, a head 6 %."""
     lost_balls: int = 1000
     """Balls that are tried, about."""
     area_neighbours: int = 8
