@@ -5,9 +5,10 @@ import pytest
 
 from habitus.body.prior import PosePrior, prior_of
 from habitus.body.state import BodyState
-from habitus.fit.points.limbs import extremities, with_usual_joints
+from habitus.fit.points.limbs import joint_deviations, with_usual_joints
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scans import Registrar
+from habitus.fit.points.settings import SCANS
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
 from habitus_lab.population.coarse_bodies import coarse_body
@@ -37,14 +38,54 @@ def test_an_arm_held_to_the_scan_by_its_collar_is_found():
     wrong[names.index("left_shoulder")] = -2.2, -0.5, -1.9
     cloud = Cloud(true, vertex_normals(true, body.faces))
     before = BodyState(np.zeros(body.num_betas), wrong[None], np.zeros((1, 3)))
-    after = with_usual_joints(registrar.guesser(), before, cloud)
+    after = with_usual_joints(registrar.guesser(), before, cloud, registrar.settings.stages[1:])
     arm = np.isin(body.strongest_joint, [names.index(f"left_{j}") for j in ("shoulder", "elbow")])
     off = [
         np.linalg.norm(registrar.fitter.vertices(each) - true, axis=1)[arm].mean()
         for each in (before, after)
     ]
     assert off[0] > 0.15 and off[1] < 0.02
-    usual = prior.joint_deviations(after.pose[0])[~extremities(body)[1:]]
+    usual = joint_deviations(body, prior, after.pose[0])
     assert usual.max() < registrar.settings.limbs.unusual
-    same = with_usual_joints(registrar.guesser(), after, cloud)
+    same = with_usual_joints(registrar.guesser(), after, cloud, registrar.settings.stages[1:])
     np.testing.assert_array_equal(same.pose, after.pose)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_a_twisted_forearm_deviates_by_all_of_its_twist(share):
+    """However much of it is the wrist's; 110 degrees are more than people have, 40 are not."""
+    body = load_body("default")
+    prior, names = prior_of(body).for_joints(body.joint_names), body.joint_names
+    rest = body.rest_joints(np.zeros(body.num_betas))
+    for side in ("left", "right"):
+        elbow, wrist = (names.index(f"{side}_{joint}") for joint in ("elbow", "wrist"))
+        along = (rest[wrist] - rest[elbow]) / np.linalg.norm(rest[wrist] - rest[elbow])
+        found = []
+        for twist in np.radians([-110.0, -40.0, 40.0, 110.0]):
+            pose = np.zeros((body.num_joints, 3))
+            pose[elbow] = (1.0 - share) * twist * along
+            pose[wrist] = share * twist * along
+            deviations = joint_deviations(body, prior, pose)
+            found.append(deviations[wrist])
+            assert not deviations[[names.index(f"{side}_hand"), names.index(f"{side}_foot")]].any()
+        assert max(found[1:3]) < 2.0 and min(found[::3]) > SCANS.limbs.twisted
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_forearm_that_is_half_a_turn_off_is_turned_back(side):
+    body = load_body("default")
+    registrar = Registrar.of(body, prior_of(body))
+    names = body.joint_names
+    pose = np.zeros((body.num_joints, 3))
+    sign = 1.0 if side == "left" else -1.0
+    pose[names.index(f"{side}_shoulder")] = 0.0, -1.2 * sign, -0.2 * sign
+    true = np.asarray(body(np.zeros(body.num_betas), pose).vertices)
+    wrong = pose.copy()
+    wrong[names.index(f"{side}_elbow")] = -1.9, 0.0, 0.0
+    wrong[names.index(f"{side}_wrist")] = -1.0, 0.0, 0.0
+    cloud = Cloud(true[::2], vertex_normals(true, body.faces)[::2])
+    before = BodyState(np.zeros(body.num_betas), wrong[None], np.zeros((1, 3)))
+    after = with_usual_joints(registrar.guesser(), before, cloud, registrar.settings.stages[1:])
+    arm = np.isin(body.strongest_joint, [names.index(f"{side}_{j}") for j in ("elbow", "wrist")])
+    off = np.linalg.norm(registrar.fitter.vertices(after) - true, axis=1)[arm]
+    assert off.mean() < 0.015

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from habitus.body.hand_space import has_hands
@@ -238,21 +238,22 @@ def limbs_searched_again(
     return tried if after < settings.improvement * before else None
 
 
-def with_usual_joints(guesser: Guesser, state: BodyState, cloud: Cloud) -> BodyState:
+def with_usual_joints(
+    guesser: Guesser, state: BodyState, cloud: Cloud, stages: Sequence[ScanStage]
+) -> BodyState:
     """The state of one scan, with arms, legs and head searched again if one of their joints is bent
-    further than people bend it (`LimbSettings.unusual`).
+    further than people bend it (`LimbSettings.unusual`), or a forearm twisted (``twisted``).
 
-    The search begins at the state and at the prior's mean; the state of least energy is kept. An
-    arm that is turned by half a turn about itself reaches the scan by a displaced collar, and
-    leaves too little of the scan off the surface for `limbs_searched_again`.
+    The search begins at the state and at the prior's mean; a twisted forearm is also turned back by
+    half a turn. The state of least energy after ``stages`` is kept. An arm that is turned by half a
+    turn about itself reaches the scan by a displaced collar, and leaves too little of the scan off
+    the surface for `limbs_searched_again`.
     """
     fitter = guesser.fitter
     settings = fitter.settings.limbs
     mean = np.concatenate([np.zeros((1, 3)), fitter.prior.mean.reshape(-1, 3)])
-    ends = [
-        part in (HANDS, FEET)
-        for part in part_of_joint(fitter.body.joint_names, fitter.body.parents)
-    ]
+    names = fitter.body.joint_names
+    wrists = np.array([name.endswith("wrist") for name in names])
     few = cloud.first(settings.checked_points)
 
     def cost(one: BodyState) -> float:
@@ -260,23 +261,71 @@ def with_usual_joints(guesser: Guesser, state: BodyState, cloud: Cloud) -> BodyS
         return energy(fitter, fit, [few])
 
     for limb in guesser.limbs[: settings.whole_limbs]:
-        joints = [joint for joint in limb.joints if not ends[joint]]
-        unusual = fitter.prior.joint_deviations(state.pose[0])[np.array(joints) - 1]
-        if not joints or unusual.max() <= settings.unusual:
+        joints = np.asarray(limb.joints)
+        deviations = joint_deviations(fitter.body, fitter.prior, state.pose[0])[joints]
+        limits = np.where(wrists[joints], settings.twisted, settings.unusual)
+        if (deviations <= limits).all():
             continue
         reset = state.pose.copy()
-        reset[0, limb.joints] = mean[limb.joints]
+        reset[0, joints] = mean[joints]
         tried = [
             _anew(guesser, start, cloud, limb) for start in (state, replace(state, pose=reset))
         ]
-        state = min([state, *tried], key=cost)
+        if (deviations > limits)[wrists[joints]].any():
+            back = _turned_back(fitter.body, state, joints)
+            back = _limb_turned(fitter, back, cloud, limb, EXTREMITIES)
+            tried.append(with_hands(fitter, back, cloud))
+        state = min((fitter.fit(one, [cloud], stages) for one in (state, *tried)), key=cost)
     return state
 
 
-def extremities(body: BodyModel) -> Bool[np.ndarray, " J"]:
-    """Which joints are those of hands and feet, whose rotations the prior hardly knows."""
-    parts = part_of_joint(body.joint_names, body.parents)
-    return np.array([part in (HANDS, FEET) for part in parts])
+def joint_deviations(
+    body: BodyModel, prior: PosePrior, pose: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, " J"]:
+    """How far each joint's rotation (rad) by itself is from the prior's mean, in standard
+    deviations of that joint; 0 for the root and for hands and feet, whose rotations the prior
+    hardly knows. Of a wrist it is how far forearm and hand together are twisted about the forearm:
+    rotation vectors of elbow and wrist along the forearm at rest.
+    """
+    names = body.joint_names
+    parts = part_of_joint(names, body.parents)
+    bent = np.append(0.0, prior.joint_deviations(pose))
+    bent[[part in (HANDS, FEET) for part in parts]] = 0.0
+    off = pose[1:].ravel() - prior.mean
+    for elbow, wrist, along in _forearms(body):
+        both = np.zeros((len(names), 3))
+        both[[elbow, wrist]] = along
+        both = both[1:].ravel()
+        bent[wrist] = abs(both @ off) / np.sqrt(both @ prior.covariance @ both)
+    return bent
+
+
+def _forearms(body: BodyModel) -> list[tuple[int, int, Float[np.ndarray, " 3"]]]:
+    """Elbow and wrist of each forearm, and its direction at rest."""
+    names = body.joint_names
+    rest = body.rest_joints(np.zeros(body.num_betas))
+    found = []
+    for side in SIDES:
+        pair = [f"{side}_elbow", f"{side}_wrist"]
+        if set(pair) <= set(names):
+            elbow, wrist = map(names.index, pair)
+            along = rest[wrist] - rest[elbow]
+            found.append((elbow, wrist, along / np.linalg.norm(along)))
+    return found
+
+
+def _turned_back(body: BodyModel, state: BodyState, joints: Int[np.ndarray, " n"]) -> BodyState:
+    """The state with the forearm among some joints twisted by half a turn less, all of it in the
+    elbow.
+    """
+    for elbow, wrist, along in _forearms(body):
+        if wrist in joints:
+            pose = state.pose.copy()
+            hand, arm = along @ pose[0, wrist], along @ pose[0, elbow]
+            pose[0, wrist] -= hand * along
+            turn = hand - np.sign(hand + arm) * np.pi
+            state = _turned(replace(state, pose=pose), elbow, turn * along)
+    return state
 
 
 def limbs_near(
@@ -295,19 +344,26 @@ def limbs_near(
 def _anew(guesser: Guesser, state: BodyState, cloud: Cloud, limb: Limb) -> BodyState:
     """A limb and its parts as the bank has them, then turned about itself, then hand or foot."""
     fitter = guesser.fitter
-    names = guesser.fitter.body.joint_names
     parts = [
         limb_parts for limb_parts in guesser.limbs if np.isin(limb_parts.joints, limb.joints).all()
     ]
     state = fitter.fit(guesser.scene(cloud).limbs(state, parts), [cloud], fitter.settings.stages)
     for tries in (ARMS, EXTREMITIES):
-        own = {
-            name: turns
-            for name, turns in tries.items()
-            if name in names and names.index(name) in limb.joints
-        }
-        state = with_extremities(fitter, state, cloud, own)
+        state = _limb_turned(fitter, state, cloud, limb, tries)
     return with_hands(fitter, state, cloud)
+
+
+def _limb_turned(
+    fitter: ScanFitter, state: BodyState, cloud: Cloud, limb: Limb, tries: Mapping[str, np.ndarray]
+) -> BodyState:
+    """`with_extremities` of the joints of a limb alone."""
+    names = fitter.body.joint_names
+    own = {
+        name: turns
+        for name, turns in tries.items()
+        if name in names and names.index(name) in limb.joints
+    }
+    return with_extremities(fitter, state, cloud, own)
 
 
 def _quickly_lost(guesser: Guesser, state: BodyState, cloud: Cloud) -> float:

@@ -34,7 +34,7 @@ from habitus.fit.offsets import along_normals
 from habitus.fit.points.correspondences import Topology, hidden_vertices, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
 from habitus.fit.points.limbs import (
-    extremities,
+    joint_deviations,
     limbs_searched_again,
     with_extremities,
     with_hands,
@@ -251,7 +251,7 @@ class Registrar:
         cloud = self._oriented(state, cloud)
         placed = [replace(each, scalp_weight=settings.hair.weight) for each in settings.stages[1:]]
         state = self.fitter.fit(state, [cloud], placed)
-        best = replace(best, state=with_usual_joints(self.guesser(), state, cloud))
+        best = replace(best, state=with_usual_joints(self.guesser(), state, cloud, placed))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         rivals = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
         return Start(best, axis, min(rivals, default=None))
@@ -424,8 +424,7 @@ class Registrar:
         state, topology, clothes = scan.state, self.fitter.topology, self.fitter.clothes
         model = self.fitter.vertices(state)
         names = self.body.joint_names
-        bent = np.append(0.0, self.fitter.prior.joint_deviations(state.pose[0]))
-        bent[extremities(self.body)] = 0.0
+        bent = joint_deviations(self.body, self.fitter.prior, state.pose[0])
         rarest = int(bent.argmax())
         skin = along_normals(scan.surface, -clothes.thickness, self.body)
         hair = self.fitter.hair(state, [scan.cloud])
