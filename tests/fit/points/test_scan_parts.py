@@ -254,7 +254,7 @@ def test_the_verdict_follows_the_numbers():
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.01}, "doubtful"), ({"lost": 0.02}, "failed"),
         ({"matched": 0.5}, "failed"), ({"cuts": {"body": 150}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
         ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"),
-        ({"head_seen": 0.1}, "doubtful"), ({"points": 5000.0}, "doubtful"),
+        ({"head_seen": 0.1}, "doubtful"), ({"points": 3000.0}, "doubtful"),
         ({"joint_deviation": 7.0}, "doubtful"), ({"unlike": 0.03}, "doubtful"),
         ({"clothed": 0.5}, "doubtful"), ({"crossed_legs": 200}, "doubtful"),
         ({"limbs_seen": {"left_elbow": 0.1}}, "doubtful"),

@@ -128,10 +128,10 @@ class ScanLimits:
     limb_seen: Bound = Bound(0.4, 0.0)
     """Share of a limb (`LIMBS`) that the scan shows. By hand; 0.81 and more of 144 limbs of 18
     people of benchmarks/wide_people.py, 0.07 of a forearm that the fit put elsewhere."""
-    points: Bound = Bound(8000, 0)
+    points: Bound = Bound(4000, 0)
     """Points of a scan, as many as there would be if it showed all of the body. Of people unlike
-    the body's own 15 of 21 with 4,000 to 8,000 points were right (3 mm mean, 7 mm at 95 %), of 14
-    with fewer 7, of 48 with more 42 (benchmarks/wide_people.py, seeds 1, 22, 31, 32 and 34)."""
+    the body's own 13 of 15 with 4,000 to 8,000 points were right (3 mm mean, 7 mm at 95 %), of nine
+    with fewer 6, of 42 with more 39 (benchmarks/wide_people.py, seed 91, of 34 those with few)."""
     islands: Bound = Bound(0.1, np.inf)
     """Share of the scan in components separate from the person, which are left out: more than dust
     and stands may be another person. By hand, for two people side by side (0.5); at most 0.001 of
@@ -171,8 +171,8 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "limb": "The scan shows {percent:.0f} % of the {limb}; its pose comes from the pose prior.",
         "islands": "{percent:.0f} % of the scan lies apart and was left out; it may be another "
         "person or a part of this one.",
-        "points": "The scan has {points:,.0f} points on all of the body; with fewer than 8,000 the "
-        "skin may be a centimetre off along the surface.",
+        "points": "The scan has {points:,.0f} points on all of the body; with fewer than "
+        "{limit:,.0f} the skin may be a centimetre off along the surface.",
         "clothed": "Loose clothes may hang off {percent:.0f} % of the body; the skin under them "
         "is estimated.",
         "rival": "Another pose fits nearly as well.",
@@ -200,6 +200,7 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     rare = worst([above(betas, limits.betas), above(largest, limits.largest_beta)])
     median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
     model = float(np.median(fit.to_model))
+    points = {"points": fit.points, "limit": limits.points.doubtful}
     levels = [
         Reason(above(fit.clothed, limits.clothed), "clothed", {"percent": 100.0 * fit.clothed}),
         Reason(above(model, limits.model), "model", {"mm": 1e3 * model}),
@@ -218,7 +219,7 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
         ),
         Reason(below(fit.seen, limits.seen), "seen", {"percent": 100.0 * fit.seen}),
         Reason(below(fit.head_seen, limits.head_seen), "head", {"percent": 100.0 * fit.head_seen}),
-        Reason(below(fit.points, limits.points), "points", {"points": fit.points}),
+        Reason(below(fit.points, limits.points), "points", points),
         Reason(above(fit.islands, limits.islands), "islands", {"percent": 100.0 * fit.islands}),
     ]
     for joint, share in fit.limbs_seen.items():
@@ -319,16 +320,15 @@ class ScanFit:
     share, ``lost`` the share of all that lie together off the surface and ``lost_part`` the part of
     the body there, ``rival`` how much worse the best other pose is (1: as good; None: none came
     close), ``pose_distance`` the pose's root mean square distance from the prior's mean, in
-    standard deviations. ``cuts``: pairs of triangles that
-    cut each other in the surface beyond those of the model, by part of the body
-    (`habitus.fit.verdict.PARTS`). ``person``: False where the start was
-    so far from the scan that the rest was not tried; the surface is then the model's. ``islands``:
-    share of the scan that was left out as separate components. ``up_axis``
-    is the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
+    standard deviations. ``cuts``: pairs of triangles that cut each other in the surface
+    beyond those of the model, by part of the body (`habitus.fit.verdict.PARTS`). ``person``: False
+    where the start was so far from the scan that the rest was not tried; the surface is then the
+    model's. ``islands``: share of the scan that was left out as separate components. ``up_axis`` is
+    the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
-    ``costs``: its cost by term. ``unlike``: how far (m, RMS) the shape is from the
-    median of the person's scans, where it was registered alone and is too far. ``rarest_joint``:
-    the joint of trunk, limbs and head that is furthest from the prior's mean by itself, and
+    ``costs``: its cost by term. ``unlike``: how far (m, RMS) the shape is from the median of the
+    person's scans, where it was registered alone and is too far. ``rarest_joint``: the joint of
+    trunk, limbs and head that is furthest from the prior's mean (`limbs.joint_deviations`), and
     ``joint_deviation`` how far, in its standard deviations. ``covered`` (V,): 1 where loose clothes
     or hair may hang off the skin, which is estimated there (None: nowhere); ``cloth``: by region,
     how far (m, median) the scan is off it. ``hair`` (V,): thickness (m) of the hair that is part of
