@@ -7,8 +7,9 @@ import pytest
 from page_samples import registered
 from scipy.spatial import KDTree
 
+from habitus.fit.points.limb_agreement import limbs_compared
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_result import LIMBS, LIMITS, ScanFit, judge_scan, limbs_compared
+from habitus.fit.points.scan_result import LIMBS, LIMITS, ScanFit, judge_scan
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
 from habitus.rotations import matrix_from_rotvec

@@ -258,6 +258,7 @@ def test_the_verdict_follows_the_numbers():
         ({"joint_deviation": 7.0}, "doubtful"), ({"unlike": 0.03}, "doubtful"),
         ({"clothed": 0.5}, "doubtful"), ({"crossed_legs": 200}, "doubtful"),
         ({"limbs_seen": {"left_elbow": 0.1}}, "doubtful"),
+        ({"twists": {"left_elbow": 1.0, "right_elbow": 5.0}}, "doubtful"),
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
@@ -291,7 +292,7 @@ def scan_evidence(**changes):
     good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
-    good |= {"joint_deviation": 3.0, "unlike": 0.0, "rarest_joint": "neck"}
+    good |= {"joint_deviation": 3.0, "unlike": 0.0, "rarest_joint": "neck", "twists": {}}
     good |= {"status": "iterations", "points": 40_000, "clothed": 0.0, "crossed_legs": 0}
     good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "limbs_seen": {}, "measurements": {}}
     good |= {"body": SimpleNamespace(age=None, v_template=np.zeros((2, 3)))}

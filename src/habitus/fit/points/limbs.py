@@ -252,8 +252,6 @@ def with_usual_joints(
     fitter = guesser.fitter
     settings = fitter.settings.limbs
     mean = np.concatenate([np.zeros((1, 3)), fitter.prior.mean.reshape(-1, 3)])
-    names = fitter.body.joint_names
-    wrists = np.array([name.endswith("wrist") for name in names])
     few = cloud.first(settings.checked_points)
 
     def cost(one: BodyState) -> float:
@@ -262,16 +260,21 @@ def with_usual_joints(
 
     for limb in guesser.limbs[: settings.whole_limbs]:
         joints = np.asarray(limb.joints)
-        deviations = joint_deviations(fitter.body, fitter.prior, state.pose[0])[joints]
-        limits = np.where(wrists[joints], settings.twisted, settings.unusual)
-        if (deviations <= limits).all():
+        given = fitter.body, fitter.prior, state.pose[0]
+        bent = joint_deviations(*given)[joints].max() > settings.unusual
+        twisted = any(
+            twist > settings.twisted
+            for elbow, twist in forearm_twists(*given).items()
+            if fitter.body.joint_names.index(elbow) in joints
+        )
+        if not bent and not twisted:
             continue
         reset = state.pose.copy()
         reset[0, joints] = mean[joints]
         tried = [
             _anew(guesser, start, cloud, limb) for start in (state, replace(state, pose=reset))
         ]
-        if (deviations > limits)[wrists[joints]].any():
+        if twisted:
             back = _turned_back(fitter.body, state, joints)
             back = _limb_turned(fitter, back, cloud, limb, EXTREMITIES)
             tried.append(with_hands(fitter, back, cloud))
@@ -284,20 +287,30 @@ def joint_deviations(
 ) -> Float[np.ndarray, " J"]:
     """How far each joint's rotation (rad) by itself is from the prior's mean, in standard
     deviations of that joint; 0 for the root and for hands and feet, whose rotations the prior
-    hardly knows. Of a wrist it is how far forearm and hand together are twisted about the forearm:
-    rotation vectors of elbow and wrist along the forearm at rest.
+    hardly knows.
     """
-    names = body.joint_names
-    parts = part_of_joint(names, body.parents)
+    parts = part_of_joint(body.joint_names, body.parents)
     bent = np.append(0.0, prior.joint_deviations(pose))
     bent[[part in (HANDS, FEET) for part in parts]] = 0.0
+    return bent
+
+
+def forearm_twists(
+    body: BodyModel, prior: PosePrior, pose: Float[np.ndarray, "J 3"]
+) -> dict[str, float]:
+    """How far each forearm, by the name of its elbow, and its hand together are twisted about the
+    forearm: rotation vectors (rad) of elbow and wrist along the forearm at rest, from the prior's
+    mean in its standard deviations.
+    """
     off = pose[1:].ravel() - prior.mean
+    twists = {}
     for elbow, wrist, along in _forearms(body):
-        both = np.zeros((len(names), 3))
+        both = np.zeros((body.num_joints, 3))
         both[[elbow, wrist]] = along
         both = both[1:].ravel()
-        bent[wrist] = abs(both @ off) / np.sqrt(both @ prior.covariance @ both)
-    return bent
+        deviation = abs(both @ off) / np.sqrt(both @ prior.covariance @ both)
+        twists[body.joint_names[elbow]] = float(deviation)
+    return twists
 
 
 def _forearms(body: BodyModel) -> list[tuple[int, int, Float[np.ndarray, " 3"]]]:

@@ -2,8 +2,8 @@
 on both, by evidence that needs no ground truth.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -91,6 +91,9 @@ class ScanLimits:
     joint: Bound = Bound(6.0, np.inf)
     """Standard deviations of one joint by itself. No joint of 643 frames of ten captures is beyond
     4.5; collars that hold a wrong arm to the scan are at 6 to 14."""
+    twist: Bound = Bound(4.0, np.inf)
+    """Standard deviations of a forearm's twist, its hand's included (`limbs.forearm_twists`). 1.9
+    is the most of 1159 frames of six captures; two forearms half a turn off had 6.3 and 6.7."""
     seen: Bound = Bound(0.6, 0.15)
     """Share of the body that the scan shows. Simulated, from the front; the four have 0.8 and more.
     """
@@ -165,6 +168,8 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "pose": "The pose is rare: {ratio:.1f} standard deviations from the mean (RMS).",
         "joint": "The {joint} is bent in a rare way ({ratio:.1f} standard deviations); the limb "
         "may be wrong.",
+        "twist": "The {limb} is twisted in a rare way ({ratio:.1f} standard deviations); it may be "
+        "half a turn off.",
         "seen": "The scan shows {percent:.0f} % of the body; the rest continues the model.",
         "head": "The scan shows {percent:.0f} % of the head; it continues the model, as does the "
         "height.",
@@ -225,6 +230,9 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     for joint, share in fit.limbs_seen.items():
         values = {"percent": 100.0 * share, "limb": LIMBS[joint]}
         levels.append(Reason(below(share, limits.limb_seen), "limb", values))
+    for joint, ratio in fit.twists.items():
+        values = {"limb": LIMBS[joint], "ratio": ratio}
+        levels.append(Reason(above(ratio, limits.twist), "twist", values))
     if fit.rival is not None:
         levels.append(Reason(below(fit.rival, limits.rival), "rival"))
     if fit.unlike:
@@ -274,10 +282,6 @@ LIMBS: Mapping[str, str] = MappingProxyType(
     }
 )
 """The joints at which limbs begin that can be turned about their own axis, and the limbs' names."""
-MIN_WEIGHT = 0.5
-"""Smallest weight of a vertex that counts as observed."""
-MIN_LIMB_VERTICES = 30
-"""Fewest observed vertices of a limb that is compared."""
 
 
 class LimbAgreement(NamedTuple):
@@ -328,7 +332,7 @@ class ScanFit:
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
     ``costs``: its cost by term. ``unlike``: how far (m, RMS) the shape is from the median of the
     person's scans, where it was registered alone and is too far. ``rarest_joint``: the joint of
-    trunk, limbs and head that is furthest from the prior's mean (`limbs.joint_deviations`), and
+    trunk, limbs and head that is furthest from the prior's mean by itself, and
     ``joint_deviation`` how far, in its standard deviations. ``covered`` (V,): 1 where loose clothes
     or hair may hang off the skin, which is estimated there (None: nowhere); ``cloth``: by region,
     how far (m, median) the scan is off it. ``hair`` (V,): thickness (m) of the hair that is part of
@@ -368,6 +372,8 @@ class ScanFit:
     unlike: float = 0.0
     joint_deviation: float = 0.0
     rarest_joint: str = ""
+    twists: Mapping[str, float] = field(default_factory=dict)
+    """How far forearms are twisted, by their joints (`LIMBS`; `limbs.forearm_twists`)."""
     covered: Float[np.ndarray, " V"] | None = None
     hair: Float[np.ndarray, " V"] | None = None
     cloth: Mapping[str, float] = field(default_factory=dict)
@@ -460,41 +466,3 @@ def hair_notes(hair: Float[np.ndarray, " V"]) -> tuple[str, ...]:
     """The note about hair of a thickness (m)."""
     cm = 100.0 * hair.max()
     return (f"the hair is about {cm:.0f} cm thick; height and head are measured without it",)
-
-
-def limbs_compared(fits: Sequence[ScanFit]) -> list[ScanFit]:
-    """The fits of one person's scans, each with how its limbs agree with the others' (`LIMBS`).
-
-    An arm is nearly round, so that an arm rotated about its own axis can fit the scan as well; the
-    offsets of its skin then differ from those in the other scans. With fewer than three scans one
-    cannot decide which of them is wrong, and nothing is compared.
-    """
-    people = [fit for fit in fits if fit.person]
-    if len(people) < 3:
-        return list(fits)
-    body = people[0].body
-    offsets = np.stack([fit.skin_offset for fit in people])
-    owner = np.asarray(body.skinning_weights).argmax(1)
-    found = []
-    for fit in fits:
-        if not fit.person:
-            found.append(fit)
-            continue
-        k = next(k for k, other in enumerate(people) if other is fit)
-        others = np.median(np.delete(offsets, k, 0), axis=0)
-        limbs = {}
-        for joint in LIMBS:
-            if joint not in body.joint_names:
-                continue
-            rows = (owner == body.joint_names.index(joint)) & (fit.weights > MIN_WEIGHT)
-            if rows.sum() >= MIN_LIMB_VERTICES:
-                limbs[joint] = _agreement(offsets[k][rows], others[rows])
-        found.append(replace(fit, limbs=limbs))
-    return found
-
-
-def _agreement(own: Float[np.ndarray, " N"], others: Float[np.ndarray, " N"]) -> LimbAgreement:
-    deviation = float(np.sqrt(np.mean(np.square(own - others))))
-    spread = float(own.std() * others.std())
-    product = float(np.mean((own - own.mean()) * (others - others.mean())))
-    return LimbAgreement(deviation, product / spread if spread > 0.0 else 1.0)

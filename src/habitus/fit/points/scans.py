@@ -33,7 +33,9 @@ from habitus.errors import HabitusError
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.correspondences import Topology, hidden_vertices, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
+from habitus.fit.points.limb_agreement import limbs_compared
 from habitus.fit.points.limbs import (
+    forearm_twists,
     joint_deviations,
     limbs_searched_again,
     with_extremities,
@@ -43,7 +45,7 @@ from habitus.fit.points.limbs import (
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_around
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
-from habitus.fit.points.scan_result import LIMITS, ScanFit, hair_notes, limbs_compared
+from habitus.fit.points.scan_result import LIMITS, ScanFit, hair_notes
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import at_rest, carried, extended, joined
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
@@ -423,15 +425,13 @@ class Registrar:
     def _result(self, scan: Registered) -> ScanFit:
         state, topology, clothes = scan.state, self.fitter.topology, self.fitter.clothes
         model = self.fitter.vertices(state)
-        names = self.body.joint_names
-        bent = joint_deviations(self.body, self.fitter.prior, state.pose[0])
+        prior, pose = self.fitter.prior, state.pose[0]
+        bent = joint_deviations(self.body, prior, pose)
         rarest = int(bent.argmax())
         skin = along_normals(scan.surface, -clothes.thickness, self.body)
         hair = self.fitter.hair(state, [scan.cloud])
         grown = scan.person and hair.any()
-        deviation = self.fitter.prior.whitening @ (
-            state.pose[0, 1:].ravel() - self.fitter.prior.mean
-        )
+        deviation = prior.whitening @ (pose[1:].ravel() - prior.mean)
         return ScanFit(
             scan_name=scan.scan.name,
             body_name=self.body.name,
@@ -451,8 +451,9 @@ class Registrar:
             **compared(self.fitter, scan.cloud, scan.surface, model),
             rival=scan.start.rival,
             pose_distance=float(np.sqrt(np.mean(deviation**2))),
-            rarest_joint=names[rarest],
+            rarest_joint=self.body.joint_names[rarest],
             joint_deviation=float(bent[rarest]),
+            twists=forearm_twists(self.body, prior, pose),
             to_body=scan.scan.to_body,
             up_axis=scan.start.up,
             person=scan.person,

@@ -269,7 +269,7 @@ class LimbSettings:
     643 frames of ten captures is beyond 4.5; collars of arms turned about themselves are at 6 to
     14."""
     twisted: float = 3.0
-    """The same of a forearm with its hand, twisted about the forearm (`limbs.joint_deviations`): no
+    """The same of a forearm with its hand, twisted about the forearm (`limbs.forearm_twists`): no
     more than 1.9 in 1159 frames of six captures, 3.6 and 4.3 of two that are half a turn off.
     """
     margin: float = 0.1
