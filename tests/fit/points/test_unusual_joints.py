@@ -6,7 +6,9 @@ import pytest
 from habitus.body.prior import PosePrior, prior_of
 from habitus.body.state import BodyState
 from habitus.fit.points.limbs import forearm_twists, joint_deviations, with_usual_joints
-from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan import Cloud, Scan
+from habitus.fit.points.scan_start import Candidate
+from habitus.fit.points.scan_states import Registered, Start
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import SCANS
 from habitus.io.models.bodies import load_body
@@ -69,21 +71,49 @@ def test_a_twisted_forearm_deviates_by_all_of_its_twist(share):
         assert max(found[1:3]) < 2.0 and min(found[::3]) > SCANS.limbs.twisted
 
 
+def outstretched(side: str, twisted: bool) -> tuple[Registrar, np.ndarray, BodyState]:
+    """A body, its surface with an arm forward, and that state; with the forearm twisted or not."""
+    body = load_body("default")
+    names = body.joint_names
+    pose = np.zeros((1, body.num_joints, 3))
+    sign = 1.0 if side == "left" else -1.0
+    pose[0, names.index(f"{side}_shoulder")] = 0.0, -1.2 * sign, -0.2 * sign
+    if twisted:
+        pose[0, names.index(f"{side}_elbow")] = -1.9, 0.0, 0.0
+        pose[0, names.index(f"{side}_wrist")] = -1.0, 0.0, 0.0
+    surface = np.asarray(body(np.zeros(body.num_betas), pose[0]).vertices)
+    state = BodyState(np.zeros(body.num_betas), pose, np.zeros((1, 3)))
+    return Registrar.of(body, prior_of(body)), surface, state
+
+
+def forearm_error(registrar: Registrar, state: BodyState, true: np.ndarray, side: str) -> float:
+    names = registrar.body.joint_names
+    own = [names.index(f"{side}_{joint}") for joint in ("elbow", "wrist")]
+    rows = np.isin(registrar.body.strongest_joint, own)
+    return np.linalg.norm(registrar.fitter.vertices(state) - true, axis=1)[rows].mean()
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_forearm_that_is_half_a_turn_off_is_turned_back(side):
-    body = load_body("default")
-    registrar = Registrar.of(body, prior_of(body))
-    names = body.joint_names
-    pose = np.zeros((body.num_joints, 3))
-    sign = 1.0 if side == "left" else -1.0
-    pose[names.index(f"{side}_shoulder")] = 0.0, -1.2 * sign, -0.2 * sign
-    true = np.asarray(body(np.zeros(body.num_betas), pose).vertices)
-    wrong = pose.copy()
-    wrong[names.index(f"{side}_elbow")] = -1.9, 0.0, 0.0
-    wrong[names.index(f"{side}_wrist")] = -1.0, 0.0, 0.0
-    cloud = Cloud(true[::2], vertex_normals(true, body.faces)[::2])
-    before = BodyState(np.zeros(body.num_betas), wrong[None], np.zeros((1, 3)))
-    after = with_usual_joints(registrar.guesser(), before, cloud, registrar.settings.stages[1:])
-    arm = np.isin(body.strongest_joint, [names.index(f"{side}_{j}") for j in ("elbow", "wrist")])
-    off = np.linalg.norm(registrar.fitter.vertices(after) - true, axis=1)[arm]
-    assert off.mean() < 0.015
+    registrar, true, _ = outstretched(side, False)
+    _, _, wrong = outstretched(side, True)
+    cloud = Cloud(true[::2], vertex_normals(true, registrar.body.faces)[::2])
+    after = with_usual_joints(registrar.guesser(), wrong, cloud, registrar.settings.stages[1:])
+    assert forearm_error(registrar, wrong, true, side) > 0.05
+    assert forearm_error(registrar, after, true, side) < 0.015
+
+
+@pytest.mark.parametrize("twisted", [False, True])
+def test_a_forearm_that_ends_twisted_is_turned_back_where_that_costs_less(twisted):
+    registrar, true, _ = outstretched("left", twisted)
+    _, _, state = outstretched("left", True)
+    cloud = Cloud(true, vertex_normals(true, registrar.body.faces))
+    start = Start(Candidate(state, np.eye(3), 0.0), "+y", None)
+    surface = registrar.fitter.vertices(state)
+    scan = Registered(Scan("anna", cloud.points), cloud, start, state, surface, True)
+    (scan,) = registrar._fitted([scan], registrar.settings.last_stages)
+    (ended,) = registrar._forearms_turned_back([scan])
+    assert (ended is scan) == twisted
+    assert forearm_error(registrar, ended.state, true, "left") < 0.015
+    if not twisted:
+        assert registrar._forearms_turned_back([ended]) == [ended]

@@ -86,8 +86,9 @@ def with_hands(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState:
     """The state of one scan with each hand, of which it shows enough, as the best of `HAND_POSES`,
     palm or back up, has it; unchanged for a body without finger joints.
 
-    A hand counts against its points in both directions: what of it stands out of the scan is as
-    wrong as what of the scan it leaves. Its parts inside the scan are not: palms of fists are
+    Poses that twist the forearm further than people twist it (`LimbSettings.most_twisted`) are left
+    out. A hand counts against its points in both directions: what of it stands out of the scan is
+    as wrong as what of the scan it leaves. Its parts inside the scan are not: palms of fists are
     hidden.
     """
     if not has_hands(fitter.body):
@@ -108,7 +109,9 @@ def with_hands(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState:
                     start = _turned(start, joint, np.array([turn, 0.0, 0.0]))
                 for joint, rotation in hand_pose(fitter.body, grip, (side,)).items():
                     start.pose[0, names.index(joint)] = rotation
-                starts.append(start)
+                twists = forearm_twists(fitter.body, fitter.prior, start.pose[0])
+                if twists[names[elbow]] < fitter.settings.limbs.most_twisted:
+                    starts.append(start)
         tried = [
             (replace(fitter, prior=_held(fitter, start, wrist, fingers)), start) for start in starts
         ]
@@ -327,12 +330,25 @@ def _forearms(body: BodyModel) -> list[tuple[int, int, Float[np.ndarray, " 3"]]]
     return found
 
 
+def forearms_turned_back(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState | None:
+    """The state of one scan with forearms that are twisted beyond `LimbSettings.most_twisted`
+    turned back by half a turn, and hands posed again; None where there are none.
+    """
+    body = fitter.body
+    twists = forearm_twists(body, fitter.prior, state.pose[0])
+    limit = fitter.settings.limbs.most_twisted
+    joints = [body.joint_names.index(elbow) for elbow, twist in twists.items() if twist > limit]
+    if not joints:
+        return None
+    return with_hands(fitter, _turned_back(body, state, np.array(joints)), cloud)
+
+
 def _turned_back(body: BodyModel, state: BodyState, joints: Int[np.ndarray, " n"]) -> BodyState:
-    """The state with the forearm among some joints twisted by half a turn less, all of it in the
-    elbow.
+    """The state with forearms whose elbows are among some joints twisted by half a turn less, all
+    of it in the elbow.
     """
     for elbow, wrist, along in _forearms(body):
-        if wrist in joints:
+        if elbow in joints:
             pose = state.pose.copy()
             hand, arm = along @ pose[0, wrist], along @ pose[0, elbow]
             pose[0, wrist] -= hand * along

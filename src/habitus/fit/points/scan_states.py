@@ -1,7 +1,9 @@
-"""States of several scans, of one body as those of another, and surfaces at rest."""
+"""What is known of a scan as it is registered; states of several scans, of one body as those of
+another, and surfaces at rest.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -11,11 +13,41 @@ from habitus.body.joint_layouts import LAYOUTS
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
+from habitus.fit.points.scan import Cloud, Scan
+from habitus.fit.points.scan_start import Candidate
 from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.rotations import matrix_from_rotvec
 
 SEARCH_BETAS = 24
 """The most betas of a search for a pose from nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The best start of a scan, its axis that points up, and the misfit of the best other pose
+    relative to it (None: there is none).
+    """
+
+    best: Candidate
+    up: str
+    rival: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """What is known of one scan: the scan upright and in metres, its oriented cloud, its start, and
+    where the fit is: state, surface (m), status and costs; ``islands``: as `Cleaned` has them.
+    """
+
+    scan: Scan
+    cloud: Cloud
+    start: Start
+    state: BodyState
+    surface: Float[np.ndarray, "V 3"]
+    person: bool
+    islands: float = 0.0
+    status: str = "no person"
+    costs: dict[str, float] = field(default_factory=dict)
 
 
 def simpler(body: BodyModel) -> BodyModel:

@@ -19,7 +19,7 @@ all scans of a person.
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 
 import numpy as np
@@ -36,6 +36,7 @@ from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_su
 from habitus.fit.points.limb_agreement import limbs_compared
 from habitus.fit.points.limbs import (
     forearm_twists,
+    forearms_turned_back,
     joint_deviations,
     limbs_searched_again,
     with_extremities,
@@ -47,7 +48,14 @@ from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
 from habitus.fit.points.scan_result import LIMITS, ScanFit, hair_notes
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
-from habitus.fit.points.scan_states import at_rest, carried, extended, joined
+from habitus.fit.points.scan_states import (
+    Registered,
+    Start,
+    at_rest,
+    carried,
+    extended,
+    joined,
+)
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.fit.verdict import HANDS, HEAD, vertex_parts
 from habitus.mesh.normals import vertex_normals
@@ -57,34 +65,6 @@ from habitus.rotations import UP_AXES, up_rotation
 
 UP = ("+y", "+z", "-y", "-z", "+x", "-x")
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """The best start of a scan, its axis that points up, and the misfit of the best other pose
-    relative to it (None: there is none).
-    """
-
-    best: Candidate
-    up: str
-    rival: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Registered:
-    """What is known of one scan: the scan upright and in metres, its oriented cloud, its start, and
-    where the fit is: state, surface (m), status and costs; ``islands``: as `Cleaned` has them.
-    """
-
-    scan: Scan
-    cloud: Cloud
-    start: Start
-    state: BodyState
-    surface: Float[np.ndarray, "V 3"]
-    person: bool
-    islands: float = 0.0
-    status: str = "no person"
-    costs: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +170,7 @@ class Registrar:
             best, fitted = self._fitted_best(scans)
         progress("limbs", 0.8)
         with clock("limbs"):
-            fitted = best._limbs_searched(fitted)
+            fitted = best._forearms_turned_back(best._limbs_searched(fitted))
         fits = limbs_compared([best._result(scan) for scan in fitted])
         return [
             replace(fit, notes=(*_notes(scan, True, self, best), *fit.notes))
@@ -410,6 +390,24 @@ class Registrar:
             scans = tried
             lost = left
         return scans
+
+    def _forearms_turned_back(self, scans: list[Registered]) -> list[Registered]:
+        """Forearms that ended further twisted than people twist them are turned back by half a turn
+        and fitted again; what costs less stays.
+        """
+        back = [forearms_turned_back(self.fitter, scan.state, scan.cloud) for scan in scans]
+        if all(state is None for state in back):
+            return scans
+        begin = [replace(scan, state=b or scan.state) for scan, b in zip(scans, back, strict=True)]
+        tried = self._fitted(begin, self.settings.last_stages)
+        clouds = [scan.cloud.first(self.settings.limbs.checked_points) for scan in scans]
+
+        def cost(fitted: list[Registered]) -> float:
+            state = joined([scan.state for scan in fitted])
+            fit = self.fitter.fit_with_offsets(state, clouds, self.settings.limbs.quick)
+            return energy(self.fitter, fit, clouds)
+
+        return min(scans, tried, key=cost)
 
     def _lost(self, scan: Registered) -> float:
         """The share of a scan that lies together off its surface; 0 for fingers of posed hands and

@@ -272,6 +272,9 @@ class LimbSettings:
     """The same of a forearm with its hand, twisted about the forearm (`limbs.forearm_twists`): no
     more than 1.9 in 1159 frames of six captures, 3.6 and 4.3 of two that are half a turn off.
     """
+    most_twisted: float = 4.0
+    """The same (110 degrees), beyond which no hand is tried palm or back up, and forearms are
+    turned back after the fit."""
     margin: float = 0.1
     """A limb so much further from the lost piece than the closest one is tried, too."""
     quick: tuple[ScanStage, ...] = (ScanStage(2, points=6000, scale=0.03, noise=0.004),)
