@@ -76,7 +76,7 @@ def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float
     """E of all scans at surfaces that lie off the model along its normals."""
     state = fit.state
     settings = fitter.settings
-    last = settings.last_stages[0]
+    stage = settings.choice_stage
     total = 0.5 * float(state.betas @ state.betas)
     for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
         model = fitter.vertices(state, k)
@@ -88,10 +88,10 @@ def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float
         deviation = state.pose[k, 1:].ravel() - fitter.prior.mean
         total += 0.5 * float(offset @ (precision @ offset))
         total += 0.5 * float(deviation @ fitter.precision @ deviation)
-        distances = fitter.distances(surface, cloud.first(last.points))
+        distances = fitter.distances(surface, cloud.first(stage.points))
         square = distances**2
-        loss = square * last.scale**2 / (square + last.scale**2)
-        total += 0.5 / last.noise**2 * float(loss.sum())
+        loss = square * stage.scale**2 / (square + stage.scale**2)
+        total += 0.5 / stage.noise**2 * float(loss.sum())
     return total
 
 

@@ -306,8 +306,7 @@ class Registrar:
         best = map_on_threads(lambda detailed: detailed(), likely)
         if len(best) == 1:
             return best[0]
-        few = self.settings.choice_steps
-        first = [replace(self.settings.last_stages[0], steps=few, renewed_signs=False)]
+        first = [self.settings.choice_stage]
 
         def cost_of(candidate: tuple["Registrar", BodyState]) -> float:
             registrar, state = candidate

@@ -75,6 +75,7 @@ _DETAILED = ScanStage(
     own_offsets=0.5,
     until=Tolerances(cost=1e-4),
 )
+_CHOICE = replace(_DETAILED, steps=2, scale=0.02, renewed_signs=False)
 
 
 @dataclass(frozen=True)
@@ -446,8 +447,9 @@ class ScanSettings:
     """The same by the body that was chosen, in full detail. Noise and scale of the first throughout
     leave 33 people of benchmarks/wide_people.py 1.2 times as far from the truth; with the last
     one's noise throughout fewer of them are right (3 mm)."""
-    choice_steps: int = 2
-    """Steps of the first of these stages after which one of two bodies is chosen."""
+    choice_stage: ScanStage = _CHOICE
+    """Steps after which one of two bodies is chosen, and noise and scale of the energies that are
+    compared before. With a smaller scale the wrong body's worst points cost too little."""
     scale_ratio: float = 3.0
     """With skin offsets a stage's scale is at least so many times the median distance of the
     points, two standard deviations of their noise: a noisy scan keeps its points."""
