@@ -32,8 +32,8 @@ from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_result import ScanFit
+from habitus.fit.points.scan_stage import ScanStage
 from habitus.fit.points.scans import Registrar
-from habitus.fit.points.settings import ScanStage
 from habitus.fit.selection.held_out import smooth_field
 from habitus.fit.selection.problem import SELECTION
 from habitus.jobs.coregister import trained

@@ -14,8 +14,8 @@ from habitus.fit.points.correspondences import Topology, vertex_weights
 from habitus.fit.points.free_surface import free_surface
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_fitting import ScanFitter
+from habitus.fit.points.scan_stage import ScanStage
 from habitus.fit.points.scans import Registrar
-from habitus.fit.points.settings import ScanStage
 from habitus.jobs.coregister import coregistered
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations

@@ -21,7 +21,8 @@ from habitus.fit.offsets import (
 from habitus.fit.points.correspondences import Topology, find_correspondences
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import OffsetEquations, PreviousFrame, ScanFitter
-from habitus.fit.points.settings import CLOTHES, HairSettings, ScanStage
+from habitus.fit.points.scan_stage import ScanStage
+from habitus.fit.points.settings import CLOTHES, HairSettings
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
 from habitus.solve.terms import geman_mcclure_weight

@@ -5,7 +5,7 @@ import pytest
 
 from habitus.body.prior import PosePrior, prior_of
 from habitus.body.state import BodyState
-from habitus.fit.points.limbs import forearm_twists, joint_deviations, with_usual_joints
+from habitus.fit.points.limbs import forearm_twists, limb_joint_deviations, with_usual_joints
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_start import Candidate
 from habitus.fit.points.scan_states import Registered, Start
@@ -47,7 +47,7 @@ def test_an_arm_held_to_the_scan_by_its_collar_is_found():
         for each in (before, after)
     ]
     assert off[0] > 0.15 and off[1] < 0.02
-    usual = joint_deviations(body, prior, after.pose[0])
+    usual = limb_joint_deviations(body, prior, after.pose[0])
     assert usual.max() < registrar.settings.limbs.unusual
     same = with_usual_joints(registrar.guesser(), after, cloud, registrar.settings.stages[1:])
     np.testing.assert_array_equal(same.pose, after.pose)

@@ -12,6 +12,7 @@ Where to begin: `scans` is the recipe for scans and `settings` holds its constan
     scan, scan_start, limb_ends, limbs          cleaning; multi-start search, also by the ends of
                                                 limbs; lost limbs and hands
     clothes                                     clothes and hair of a scan: weights, what hangs off
+    scan_stage, limb_settings                   settings of a stage and of the searches for limbs
     scan_evidence, scan_result, limb_agreement  evidence; result and verdict of a scan fit; limbs
                                                 of a person's scans compared
     depth_energy                                depth energy: all terms and their minimisation;

@@ -28,9 +28,10 @@ from habitus.body.model import BodyModel
 from habitus.body.skinning import descends
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import corners_of, points_around
+from habitus.fit.points.limb_settings import LimbEndSettings
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import ScanFitter
-from habitus.fit.points.settings import LimbEndSettings, ScanStage
+from habitus.fit.points.scan_stage import ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.parallel.workers import map_on_threads
 from habitus.residuals.points import PointObservations

@@ -22,8 +22,8 @@ from habitus.fit.points.correspondences import NORMAL_DISTANCE
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_evidence import energy, lost_piece, lost_share
 from habitus.fit.points.scan_fitting import ScanFitter
+from habitus.fit.points.scan_stage import ScanStage
 from habitus.fit.points.scan_start import Guesser, Limb
-from habitus.fit.points.settings import ScanStage
 from habitus.fit.verdict import FEET, HANDS, part_of_joint
 from habitus.parallel.workers import map_on_threads
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -245,7 +245,8 @@ def with_usual_joints(
     guesser: Guesser, state: BodyState, cloud: Cloud, stages: Sequence[ScanStage]
 ) -> BodyState:
     """The state of one scan, with arms, legs and head searched again if one of their joints is bent
-    further than people bend it (`LimbSettings.unusual`), or a forearm twisted (``twisted``).
+    further than people bend it (`LimbSettings.unusual`) or a forearm is twisted further than people
+    twist it (`LimbSettings.twisted`).
 
     The search begins at the state and at the prior's mean; a twisted forearm is also turned back by
     half a turn. The state of least energy after ``stages`` is kept. An arm that is turned by half a
@@ -255,16 +256,14 @@ def with_usual_joints(
     fitter = guesser.fitter
     settings = fitter.settings.limbs
     mean = np.concatenate([np.zeros((1, 3)), fitter.prior.mean.reshape(-1, 3)])
-    few = cloud.first(settings.checked_points)
 
     def cost(one: BodyState) -> float:
-        fit = fitter.fit_with_offsets(one, [few], settings.quick)
-        return energy(fitter, fit, [few])
+        return quick_energy(fitter, one, [cloud])
 
     for limb in guesser.limbs[: settings.whole_limbs]:
         joints = np.asarray(limb.joints)
         given = fitter.body, fitter.prior, state.pose[0]
-        bent = joint_deviations(*given)[joints].max() > settings.unusual
+        bent = limb_joint_deviations(*given)[joints].max() > settings.unusual
         twisted = any(
             twist > settings.twisted
             for elbow, twist in forearm_twists(*given).items()
@@ -285,7 +284,16 @@ def with_usual_joints(
     return state
 
 
-def joint_deviations(
+def quick_energy(fitter: ScanFitter, state: BodyState, clouds: Sequence[Cloud]) -> float:
+    """The energy of states of all scans together (`scan_evidence.energy`), after a few steps with
+    skin offsets from there, on some of the points.
+    """
+    settings = fitter.settings.limbs
+    few = [cloud.first(settings.checked_points) for cloud in clouds]
+    return energy(fitter, fitter.fit_with_offsets(state, few, settings.quick), few)
+
+
+def limb_joint_deviations(
     body: BodyModel, prior: PosePrior, pose: Float[np.ndarray, "J 3"]
 ) -> Float[np.ndarray, " J"]:
     """How far each joint's rotation (rad) by itself is from the prior's mean, in standard

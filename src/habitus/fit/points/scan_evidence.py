@@ -13,9 +13,10 @@ from habitus.body.model import BodyModel
 from habitus.fit.offsets import field_precision
 from habitus.fit.points.clothes import REGIONS
 from habitus.fit.points.correspondences import find_correspondences
+from habitus.fit.points.limb_settings import LimbSettings
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import OffsetFit, ScanFitter
-from habitus.fit.points.settings import SCANS, LimbSettings
+from habitus.fit.points.settings import SCANS
 from habitus.fit.verdict import PARTS, vertex_parts
 from habitus.mesh.normals import vertex_normals
 
@@ -73,7 +74,9 @@ def compared(
 
 
 def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float:
-    """E of all scans at surfaces that lie off the model along its normals."""
+    """E of all scans (`scans`) at surfaces that lie off the model along its normals; noise and
+    scale are those of `ScanSettings.choice_stage`.
+    """
     state = fit.state
     settings = fitter.settings
     stage = settings.choice_stage

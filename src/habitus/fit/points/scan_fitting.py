@@ -65,7 +65,8 @@ from habitus.fit.points.correspondences import (
     shape_prior,
 )
 from habitus.fit.points.scan import Cloud, agreed, neighbours_of
-from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
+from habitus.fit.points.scan_stage import ScanStage
+from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.fit.points.skin_offsets import scalp
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term

@@ -31,7 +31,8 @@ from habitus.fit.points.correspondences import NORMAL_DISTANCE, with_normals
 from habitus.fit.points.limb_ends import EndSearch
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import ScanFitter
-from habitus.fit.points.settings import SCANS, ScanStage, SearchSettings
+from habitus.fit.points.scan_stage import ScanStage
+from habitus.fit.points.settings import SCANS, SearchSettings
 from habitus.parallel.workers import map_on_threads
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 

@@ -37,8 +37,9 @@ from habitus.fit.points.limb_agreement import limbs_compared
 from habitus.fit.points.limbs import (
     forearm_twists,
     forearms_turned_back,
-    joint_deviations,
+    limb_joint_deviations,
     limbs_searched_again,
+    quick_energy,
     with_extremities,
     with_hands,
     with_usual_joints,
@@ -47,6 +48,7 @@ from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_around
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
 from habitus.fit.points.scan_result import LIMITS, ScanFit, hair_notes
+from habitus.fit.points.scan_stage import ScanStage
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import (
     Registered,
@@ -56,7 +58,7 @@ from habitus.fit.points.scan_states import (
     extended,
     joined,
 )
-from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
+from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.fit.verdict import HANDS, HEAD, vertex_parts
 from habitus.mesh.normals import vertex_normals
 from habitus.parallel.workers import map_on_threads
@@ -399,12 +401,10 @@ class Registrar:
             return scans
         begin = [replace(scan, state=b or scan.state) for scan, b in zip(scans, back, strict=True)]
         tried = self._fitted(begin, self.settings.last_stages)
-        clouds = [scan.cloud.first(self.settings.limbs.checked_points) for scan in scans]
+        clouds = [scan.cloud for scan in scans]
 
         def cost(fitted: list[Registered]) -> float:
-            state = joined([scan.state for scan in fitted])
-            fit = self.fitter.fit_with_offsets(state, clouds, self.settings.limbs.quick)
-            return energy(self.fitter, fit, clouds)
+            return quick_energy(self.fitter, joined([scan.state for scan in fitted]), clouds)
 
         return min(scans, tried, key=cost)
 
@@ -423,7 +423,7 @@ class Registrar:
         state, topology, clothes = scan.state, self.fitter.topology, self.fitter.clothes
         model = self.fitter.vertices(state)
         prior, pose = self.fitter.prior, state.pose[0]
-        bent = joint_deviations(self.body, prior, pose)
+        bent = limb_joint_deviations(self.body, prior, pose)
         rarest = int(bent.argmax())
         skin = along_normals(scan.surface, -clothes.thickness, self.body)
         hair = self.fitter.hair(state, [scan.cloud])
