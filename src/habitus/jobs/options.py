@@ -405,7 +405,9 @@ class RgbdOptions(DepthOptions):
     default, 0 without clothes.
     """
     hair_mm: Annotated[float | None, unset("MM")] = None
-    """Thickness of hair and cap, which is subtracted from the head: 3 by default."""
+    """Thickness of hair and cap, which is subtracted from the head; where it is not given, hair of
+    more than 1 cm is measured, and 3 mm are subtracted from other heads.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)

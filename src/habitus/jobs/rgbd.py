@@ -131,6 +131,8 @@ def _fitted(
     layers = {"clothes": options.clothes_mm, "hair": options.hair_mm}
     metres = {name: 1e-3 * value for name, value in layers.items() if value is not None}
     settings = replace(options.settings or RgbdSettings(), **metres)
+    if options.hair_mm is not None:
+        settings = replace(settings, measured_hair=None)
     fit = fit_rgbd(capture, body, turns=options.turns, settings=settings, age=options.age)
     progress("writing")
     fit.save(out)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from page_samples import registered
 
-from habitus.fit.points.scan_result import hair_notes
+from habitus.fit.points.clothes import hair_notes
 from habitus.fit.points.settings import SCANS
 from habitus.fit.points.skin_offsets import scalp
 from habitus.mesh.normals import vertex_normals

@@ -64,6 +64,8 @@ Depth energy (`depth_energy`; thesis eq. 4.3). Fields are those of `RgbdSettings
     colour   E_C, E_Q  eqs. 4.4, 4.7  w 0.02 factor^2 / 0.02^2,       colour, rim; of `appearance`:
                                       edges 0.02 / 0.05^2             noise, smooth_sd, light_sd
 
+On the scalp "depth" and "outline" weigh a hundredth (`DepthStage.scalp_weight`) until hair is
+measured, and with skin offsets where it is thick; "colour" leaves that out (`hair_margin`).
 spread = hypot(noise z^2 cosine, model_sd) for a pixel at distance z (m) whose ray meets the surface
 at that cosine, 0.3 at least; stride and factor are full-size pixels along the side of one that is
 used. "floor" acts only in stages that move all unknowns (`DepthStage.moves` "all") and with skin

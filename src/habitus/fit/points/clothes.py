@@ -101,14 +101,21 @@ class Clothes:
 
 
 def hair_thickness(
-    correspondences: Correspondences,
+    outside: Float[np.ndarray, " N"],
+    distance: Float[np.ndarray, " N"],
     scalp: Float[np.ndarray, " N"],
-    points: Float[np.ndarray, "N 3"],
     settings: HairSettings,
 ) -> float:
-    """The median distance (m) of a scan outside a model's scalp; 0 if the scan is inside or shows
-    no scalp. scalp: how much hair may grow at each point's correspondence, 0..1.
+    """The median distance (m) of points outside a model's scalp; 0 if they are inside or show no
+    scalp. outside: signed distance of each point along the model's normal (m); distance: from its
+    correspondence (m); scalp: how much hair may grow there, 0..1.
     """
-    near = correspondences.distances(points) < settings.most_thickness
-    outside = correspondences.outside(points)[near & (scalp > settings.least_scalp)]
+    outside = outside[(distance < settings.most_thickness) & (scalp > settings.least_scalp)]
     return max(0.0, float(np.median(outside))) if len(outside) else 0.0
+
+
+def hair_notes(hair: Float[np.ndarray, " V"]) -> tuple[str, ...]:
+    """The note about hair of a thickness (m); none where there is none."""
+    cm = 100.0 * hair.max(initial=0.0)
+    note = f"the hair is about {cm:.0f} cm thick; height and head are measured without it"
+    return (note,) if cm else ()

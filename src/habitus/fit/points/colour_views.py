@@ -11,7 +11,7 @@ background on the person. At a level of the pyramid (T 4.6.1) a pixel is the mea
 `bake` writes the fitted albedo on the body's texture: of each texel what the views show there.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -101,6 +101,18 @@ class ColourLevel:
         return ColourLevel(
             small, factor, _means(seen, factor), _means(room, factor), least.astype(float)
         )
+
+    def without(self, points: Float[np.ndarray, "N 3"], reach: float) -> "ColourLevel":
+        """The level, its pixels not used within ``reach`` (m, at the points) of points."""
+        pixels, depth = (each.numpy() for each in self.camera.project(torch.from_numpy(points)))
+        column, row = np.floor(pixels).astype(int).T
+        height, width = self.usable.shape
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        away = np.ones((height, width), bool)
+        away[row[inside], column[inside]] = False
+        pixel = float(np.median(depth)) / float(self.camera.focal_length[0])
+        used = np.asarray(distance_transform_edt(away)) * pixel > reach
+        return replace(self, usable=self.usable * used)
 
 
 def _means(image: Float[np.ndarray, "H W C"], factor: int) -> Float[np.ndarray, "h w C"]:

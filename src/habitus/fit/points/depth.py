@@ -15,6 +15,7 @@ from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.appearance import Appearance, ColourShift, find_appearance
+from habitus.fit.points.clothes import hair_notes
 from habitus.fit.points.colour_views import Look
 from habitus.fit.points.depth_energy import (
     DepthEnergy,
@@ -39,10 +40,11 @@ from habitus.solve.minimize import Minimized
 @dataclass(frozen=True, eq=False)
 class ViewsFit:
     """Result of all stages: the chosen body and its name; the state, the skin offset (V,; m) and
-    the observed surfaces, which include skin offset, clothes and hair; the prepared views; light
-    and albedo (None without colours); the cost before each step and by term; the cost of each
-    body that was tried, after its first steps with skin offsets; the misfit of each view at the
-    start; seconds by stage; ``notes`` name the views that were left out, and why.
+    the observed surfaces, which include skin offset, clothes and hair; the thickness (V,; m) of
+    measured hair; the prepared views; light and albedo (None without colours); the cost before each
+    step and by term; the cost of each body that was tried, after its first steps with skin offsets;
+    the misfit of each view at the start; seconds by stage; ``notes`` name the views that were left
+    out, and why.
     """
 
     body: BodyModel
@@ -50,6 +52,7 @@ class ViewsFit:
     state: BodyState
     skin: Float[np.ndarray, " V"]
     seen: Float[np.ndarray, "K V 3"]
+    hair: Float[np.ndarray, " V"]
     prepared_views: tuple[PreparedView, ...]
     appearance: Appearance | None
     costs: tuple[float, ...]
@@ -113,7 +116,7 @@ def _fitted(
         neutral, start = _best_facing(first, energy, fields[first].result(), start)
         names = _likely_bodies(bodies[first], neutral.state.betas, [*bodies][1:])
         rivals = [
-            _rival(name, bodies[name], energy, fields[name].result(), start) for name in names
+            _rival(name, bodies[name], neutral, fields[name].result(), start) for name in names
         ]
     chosen = min([neutral, *rivals], key=lambda one: one.history[-1])
     energy, field = chosen.energy, chosen.field
@@ -133,6 +136,7 @@ def _fitted(
         state=skinned.body,
         skin=field.offset(skinned.skin),
         seen=field.seen(energy.surfaces(skinned), skinned.skin),
+        hair=field.hair,
         prepared_views=energy.views,
         appearance=shown,
         costs=history if ended is settled else (*history, *ended.history),
@@ -183,14 +187,16 @@ class _Attempt:
 def _rival(
     name: str,
     body: BodyModel,
-    first: DepthEnergy,
+    first: _Attempt,
     field: SkinField,
     start: Start,
 ) -> _Attempt:
-    """Another body from the first one's poses."""
-    energy = DepthEnergy.of(body, first.views, first.settings)
-    betas = scaled_to_height(body, list(first.views), first.settings.search)
-    return _attempt(name, energy, field, replace(start.state, betas=betas), start.means)
+    """Another body from the first one's poses, below the hair that was measured with that."""
+    views, settings = first.energy.views, first.energy.settings
+    energy = DepthEnergy.of(body, views, settings)
+    betas = scaled_to_height(body, list(views), settings.search)
+    state = replace(start.state, betas=betas)
+    return _attempt(name, energy, field, state, start.means, first.field.hair)
 
 
 def _best_facing(
@@ -213,11 +219,19 @@ def _best_facing(
 
 
 def _attempt(
-    name: str, energy: DepthEnergy, field: SkinField, start: BodyState, means: np.ndarray
+    name: str,
+    energy: DepthEnergy,
+    field: SkinField,
+    start: BodyState,
+    means: np.ndarray,
+    hair: Float[np.ndarray, " V"] | None = None,
 ) -> _Attempt:
-    """A body after all stages without skin offsets and the first steps with them."""
+    """A body after all stages without skin offsets and the first steps with them. hair: thickness
+    (m) where it is known; None: it is measured between the two.
+    """
     coarse = energy.minimized(start, means, energy.settings.stages)
     state = coarse.state
+    field = field.with_hair(energy.hair(state) if hair is None else hair)
     bare = SkinnedState(state.betas, state.pose, state.trans, np.zeros(field.count))
     skinned = energy.with_skin(bare, means, field)
     return _Attempt(name, energy, field, skinned.state, (*coarse.history, *skinned.history))
@@ -281,7 +295,9 @@ def fit_views(
     fit = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
     state = fit.state
-    evidence = gather(fit.body, state, fit.prepared_views, settings, fit.seen, fit.skin, fit.status)
+    evidence = gather(
+        fit.body, state, fit.prepared_views, settings, fit.seen, fit.skin, fit.hair, fit.status
+    )
     sex_note = ()
     if not isinstance(bodies, BodyModel):
         name = gender = fit.kind
@@ -304,6 +320,7 @@ def fit_views(
             *capture.notes,
             *fit.notes,
             *sex_note,
+            *hair_notes(fit.hair),
             *_lost(fit.prepared_views, fit.appearance),
         ),
         gender=gender,

@@ -33,6 +33,7 @@ from habitus.body.anatomical_angles import world_rotations
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.appearance import edges_of
+from habitus.fit.points.clothes import hair_thickness
 from habitus.fit.points.colour_terms import ColourEnergy
 from habitus.fit.points.colour_views import ColourLevel, Look, Moving
 from habitus.fit.points.correspondences import Footpads, points_around, pose_prior, shape_prior
@@ -42,9 +43,11 @@ from habitus.fit.points.skin_offsets import (
     SkinField,
     SkinPlanes,
     moved_back,
+    scalp,
     skin_planes_term,
     skin_prior,
 )
+from habitus.mesh.normals import vertex_normals
 from habitus.parallel.workers import map_on_threads
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
@@ -102,8 +105,11 @@ def match(
     reach: float,
     noise: float,
     settings: RgbdSettings,
+    factor: Float[np.ndarray, " N"] | None = None,
 ) -> Matching:
-    """E_D of one view and its outline, at the model as it is."""
+    """E_D of one view and its outline, at the model as it is. factor: of the weight of each drawn
+    point; None: 1.
+    """
     correspondences = (_nearest if stage.matching == "nearest" else _same_pixel)(grid, drawn)
     rows, target = correspondences
     normal = drawn.normals[rows]
@@ -116,13 +122,14 @@ def match(
     distance = (
         np.linalg.norm(point - target, axis=1) if stage.matching == "nearest" else np.abs(off)
     )
+    factor = np.ones(len(drawn.face)) if factor is None else factor
     weight = settings.depth * grid.stride**2 / spread**2 * geman_mcclure_weight(distance, reach)
     slide = settings.slide if stage.matching == "nearest" else 0.0
     depth_term = PointObservations.to_planes(
-        drawn.face[rows], drawn.barycentric[rows], target, normal, weight, slide
+        drawn.face[rows], drawn.barycentric[rows], target, normal, weight * factor[rows], slide
     )
     return Matching(
-        {"depth": depth_term, "outline": outline(grid, drawn, reach, settings)}, distance
+        {"depth": depth_term, "outline": outline(grid, drawn, reach, settings, factor)}, distance
     )
 
 
@@ -141,9 +148,15 @@ def _same_pixel(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(own), grid.points.reshape(-1, 3)[drawn.pixel[own]]
 
 
-def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> PointObservations:
+def outline(
+    grid: Grid,
+    drawn: Drawn,
+    reach: float,
+    settings: RgbdSettings,
+    factor: Float[np.ndarray, " N"],
+) -> PointObservations:
     """Points of the model before what was seen through are drawn to the person's nearest pixel,
-    across the view.
+    across the view. factor: of the weight of each drawn point.
     """
     rows = wrong_rows(grid, drawn, settings.seen_through)
     pixel = drawn.pixel[rows]
@@ -153,7 +166,7 @@ def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> P
     rays = grid.camera.to_world(grid.camera.rays(torch.from_numpy(centres))).numpy() - grid.eye
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     target = grid.eye + rays * depth[:, None]
-    weight = settings.outline * grid.stride**2 / settings.outline_sd**2
+    weight = settings.outline * grid.stride**2 / settings.outline_sd**2 * factor[rows]
     weight = weight * geman_mcclure_weight(
         np.linalg.norm(target - drawn.points[rows], axis=1), max(reach, settings.min_outline_scale)
     )
@@ -221,13 +234,21 @@ class DepthEnergy:
     solver: PointSolver
     triangles: Triangles
     pads: Footpads | None
+    scalp: Float[np.ndarray, " V"]
 
     @staticmethod
     def of(body: BodyModel, views: Sequence[PreparedView], settings: RgbdSettings) -> "DepthEnergy":
         """The energy of a body before some views."""
         triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
+        hair = settings.measured_hair
         return DepthEnergy(
-            body, tuple(views), settings, PointSolver.of(body), triangles, Footpads.of(body)
+            body,
+            tuple(views),
+            settings,
+            PointSolver.of(body),
+            triangles,
+            Footpads.of(body),
+            np.zeros(body.num_vertices) if hair is None else scalp(body, hair.hairline),
         )
 
     def surfaces(self, state: BodyState | SkinnedState) -> Float[np.ndarray, "K V 3"]:
@@ -304,7 +325,11 @@ class DepthEnergy:
                 level = ColourLevel.of(
                     self.views[k], moving.vertices, seen.shift, levels[step], looks
                 )
-                return None if level is None else (moving, level)
+                if level is None:
+                    return None
+                if field.hair.any():
+                    level = level.without(moving.vertices[self.scalp > 0.5], looks.hair_margin)
+                return moving, level
 
             views = map_on_threads(of_view, range(len(self.views)))
             last = ColourEnergy.of(
@@ -326,6 +351,30 @@ class DepthEnergy:
         assert last is not None
         ended = SkinnedState(**{name: solved.state[name] for name in names})
         return solved, ended, last.look_at(solved.state)
+
+    def hair(self, state: BodyState) -> Float[np.ndarray, " V"]:
+        """The thickness (V,; m) of hair over the model; 0 below `HairSettings.least_thickness`, and
+        where it is not measured.
+        """
+        settings = self.settings.measured_hair
+        if settings is None:
+            return self.scalp
+        apart, normals, nearest = [], [], []
+        grids = self.grids(self.settings.skin_stride)
+        for grid, surface in zip(grids, self.surfaces(state), strict=True):
+            vertex = KDTree(surface).query(grid.points[grid.person])[1]
+            apart.append(grid.points[grid.person] - surface[vertex])
+            normals.append(vertex_normals(surface, self.body.faces)[vertex])
+            nearest.append(vertex)
+        offset, normal, vertex = map(np.concatenate, (apart, normals, nearest))
+        outside, distance = (offset * normal).sum(1), np.linalg.norm(offset, axis=1)
+        thickness = hair_thickness(outside, distance, self.scalp[vertex], settings)
+        return self.scalp * (thickness if thickness >= settings.least_thickness else 0.0)
+
+    def _scalp_at(self, drawn: Drawn) -> Float[np.ndarray, " N"]:
+        """How much hair may grow at each drawn point, 0..1."""
+        share = (self.scalp[self.body.faces[drawn.face]] * drawn.barycentric).sum(1)
+        return np.minimum(share, 1.0)  # beyond 1 by rounding
 
     def priors(self, means: Float[np.ndarray, "K J 3"]) -> dict[str, Term]:
         """E_S about people's mean, and E_P about a pose for each view; the root is free."""
@@ -353,7 +402,8 @@ class DepthEnergy:
         for view, grid, surface in zip(self.views, grids, surfaces, strict=True):
             noise = self.settings.noise if view.noise is None else view.noise
             drawn = look(grid, surface, self.triangles)
-            by_term = dict(match(grid, drawn, stage, scale, noise, self.settings).matches)
+            factor = 1.0 - (1.0 - stage.scalp_weight) * self._scalp_at(drawn)
+            by_term = dict(match(grid, drawn, stage, scale, noise, self.settings, factor).matches)
             if self.pads is not None and view.on_floor and stage.moves == "all":
                 by_term["floor"] = self.pads.on_floor(surface, self.body, self.settings)
             observations.append(by_term)
@@ -376,7 +426,9 @@ class DepthEnergy:
     ) -> dict[str, Term]:
         """All terms but colour, correspondences being those of surfaces with skin and clothes."""
         settings = replace(self.settings, depth=self.settings.skin_depth)
-        stage = replace(self.settings.stages[-1], stride=self.settings.skin_stride)
+        last = self.settings.stages[-1]
+        scalp_weight = last.scalp_weight if field.hair.any() else 1.0
+        stage = replace(last, stride=self.settings.skin_stride, scalp_weight=scalp_weight)
         models = self.surfaces(state)
         seen = field.seen(models, state.skin)
         energy = replace(self, settings=settings)

@@ -59,7 +59,8 @@ class ViewEvidence:
 class Evidence:
     """All that the verdict is drawn from. limb_apart, limb_turned: the largest difference of a limb
     joint's position (m) and rotation (degrees), relative to the pelvis, between two views, and the
-    joint; None of one view. explained_distance, end_distance: of the settings (m). age, stature:
+    joint; None of one view. height_seen: of the highest point above the floor, less measured hair
+    (m). explained_distance, end_distance: of the settings (m). age, stature:
     the body's age, if it was brought to one (years), and the height of its mean person (m). status:
     how the last solve ended (`habitus.minimize`).
     """
@@ -88,10 +89,12 @@ def gather(
     settings: RgbdSettings,
     surfaces: Float[np.ndarray, "K V 3"],
     skin: Float[np.ndarray, " V"],
+    hair: Float[np.ndarray, " V"],
     status: str,
 ) -> Evidence:
     """The evidence of a fit. surfaces: of each view (m), with skin offsets, clothes and hair; skin:
-    offsets of the skin from the model, outwards along its normals (m); status: of the last solve.
+    offsets of the skin from the model, outwards along its normals (m); hair: thickness of measured
+    hair (m); status: of the last solve.
     """
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
     ends = end_names(body)
@@ -108,7 +111,7 @@ def gather(
     )
     whole = [view for view in prepared if view.on_floor and not view.cut_off]
     height = (
-        float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole]))
+        float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole]) - hair.max())
         if whole
         else None
     )

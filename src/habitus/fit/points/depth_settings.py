@@ -7,8 +7,10 @@ without another source were chosen by hand on simulated people before the noise 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from habitus.fit.offsets import OFFSETS
+from habitus.fit.points.settings import HairSettings
 from habitus.solve.minimize import Stage
 
 
@@ -20,23 +22,31 @@ class DepthStage(Stage):
     point in space) or "pixel" (the one at the same pixel). stride: of pixels in both directions.
     scales: Geman-McClure's, at the first step and the last, m: a pixel so far off weighs a quarter.
     It is the robust norm of thesis eq. 4.5, whose loss ends below the absolute value.
+    scalp_weight: factor of the weight of drawn points where hair may grow, before hair is measured
+    and, where it is thick, afterwards. At 1 the head grows until it fills the hair.
     """
 
     moves: str
     matching: str
     stride: int
     scales: tuple[float, float]
+    scalp_weight: float = 1.0
 
+
+HAIR = HairSettings(hairline=0.5)
+"""The lower half of a forehead, seen from the front, has no hair."""
+
+_SHAPE = partial(DepthStage, moves="all", scalp_weight=HAIR.weight)
 
 STAGES = (
     DepthStage(3, moves="place", matching="nearest", stride=4, scales=(0.15, 0.15)),
     DepthStage(4, moves="pose", matching="nearest", stride=4, scales=(0.15, 0.10)),
-    DepthStage(2, moves="all", matching="nearest", stride=4, scales=(0.10, 0.08)),
-    DepthStage(3, moves="all", matching="pixel", stride=4, scales=(0.08, 0.06)),
-    DepthStage(6, moves="all", matching="pixel", stride=2, scales=(0.06, 0.03)),
+    _SHAPE(2, matching="nearest", stride=4, scales=(0.10, 0.08)),
+    _SHAPE(3, matching="pixel", stride=4, scales=(0.08, 0.06)),
+    _SHAPE(6, matching="pixel", stride=2, scales=(0.06, 0.03)),
 )
 """Nearest points forgive a start that is off but shrink girths under noise; the same pixel is
-unbiased near it.
+unbiased near it. The shape is fitted with hardly any of the scalp, as hair is not yet measured.
 """
 
 STIFF = (
@@ -301,6 +311,9 @@ class AppearanceSettings:
     """Of the vertices' albedo in a texel, beside 1 of its own colour seen face on."""
     min_texture_shade: float = 0.1
     """Light on a texel, at least, by which its colour is divided."""
+    hair_margin: float = 0.02
+    """Metres around a scalp with thick hair within which colours are not compared: the outline of
+    hair is unknown."""
     brightest: float = 0.92
     """Albedo that the brightest of a texture gets, as the scale of albedo is unobservable."""
 
@@ -371,10 +384,12 @@ class RgbdSettings:
     clothes: float = 0.001
     """Thickness in metres of tight clothes on trunk and thighs, which is taken off."""
     hair: float = 0.003
-    """Thickness in metres of flat hair under a cap, which is taken off."""
+    """Thickness in metres of flat hair under a cap, which is taken off,"""
+    measured_hair: HairSettings | None = HAIR
+    """and how thicker hair is measured; None: it is not."""
     clothed: tuple[str, ...] = ("pelvis", "spine1", "spine2", "spine3", "hip", "collar")
     """Joints, of both sides, whose skin the tight clothes cover."""
-    hairline: float = 0.5
+    hairline: float = HAIR.hairline
     """Share of the way from the head's joint to its top from which hair grows in front."""
     min_cosine: float = 0.3
     """Between ray and surface, at which the noise of depth is evaluated at least."""

@@ -187,7 +187,12 @@ class ScanFitter:
     def _hair_of(self, state: BodyState, k: int, cloud: Cloud) -> float:
         few = cloud.first(self.settings.hair.points)
         found = self.matched(state, k, few)
-        return hair_thickness(found, self._scalp_at(found), few.points, self.settings.hair)
+        return hair_thickness(
+            found.outside(few.points),
+            found.distances(few.points),
+            self._scalp_at(found),
+            self.settings.hair,
+        )
 
     def _scalp_at(self, correspondences: Correspondences) -> Float[np.ndarray, " N"]:
         """How much hair may grow at each correspondence, 0..1."""

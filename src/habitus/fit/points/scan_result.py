@@ -460,9 +460,3 @@ class ScanFit:
         sentence each.
         """
         return judge_scan(self)
-
-
-def hair_notes(hair: Float[np.ndarray, " V"]) -> tuple[str, ...]:
-    """The note about hair of a thickness (m)."""
-    cm = 100.0 * hair.max()
-    return (f"the hair is about {cm:.0f} cm thick; height and head are measured without it",)

@@ -31,6 +31,7 @@ from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.offsets import along_normals
+from habitus.fit.points.clothes import hair_notes
 from habitus.fit.points.correspondences import Topology, hidden_vertices, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
 from habitus.fit.points.limb_agreement import limbs_compared
@@ -47,7 +48,7 @@ from habitus.fit.points.limbs import (
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_evidence import compared, energy, lost_piece, part_around
 from habitus.fit.points.scan_fitting import PreviousFrame, ScanFitter
-from habitus.fit.points.scan_result import LIMITS, ScanFit, hair_notes
+from habitus.fit.points.scan_result import LIMITS, ScanFit
 from habitus.fit.points.scan_stage import ScanStage
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.scan_states import (

@@ -245,14 +245,14 @@ CLOTHES: Mapping[str, ClothesSettings] = MappingProxyType(
 
 @dataclass(frozen=True)
 class HairSettings:
-    """Hair of a scan that is registered as it is (`habitus.fit.points.clothes`); metres. Chosen on
-    seven people of benchmarks/wide_people.py.
+    """Hair that scans and depth views show as it is (`habitus.fit.points.clothes`); metres. Chosen
+    on seven scans of benchmarks/wide_people.py.
     """
 
     hairline: float = 0.3
     """Share of the way from the head's joint to its top from which hair may grow in front."""
     weight: float = 0.01
-    """`ScanStage.scalp_weight` once the pose is known."""
+    """`ScanStage.scalp_weight` once the pose is known; for depth, `DepthStage.scalp_weight`."""
     points: int = 10_000
     """Of a scan from which the thickness is measured, at most:"""
     least_scalp: float = 0.9

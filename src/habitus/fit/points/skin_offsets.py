@@ -6,8 +6,8 @@
 A thousand pixels of a belly determine betas hardly better than one does, and counted one by one
 they bend the back, which no view shows, after the front. So the person's skin is off the model by h
 (V,), one random field for all views (`habitus.fit.offsets`); Z (V, C) interpolates its values at C
-vertices (Nystroem), z being independent with spread 1. l (V,) are clothes and hair of known
-thickness. h is part of the person, l is not.
+vertices (Nystroem), z being independent with spread 1. l (V,) are clothes and hair, of known or
+measured thickness. h is part of the person, l is not.
 """
 
 from collections.abc import Sequence
@@ -37,13 +37,14 @@ from habitus.solve.terms import Quadratic, Term
 
 @dataclass(frozen=True, eq=False)
 class SkinField:
-    """The field's basis (V, C; m), none on the soles, which stand on the floor, and the thickness
-    of what is worn (V,; m) of a body.
+    """The field's basis (V, C; m), none on the soles, which stand on the floor, the thickness of
+    what is worn (V,; m), and of it that of measured hair (V,; m), of a body.
     """
 
     body: BodyModel
     basis: Float[np.ndarray, "V C"]
     layer: Float[np.ndarray, " V"]
+    hair: Float[np.ndarray, " V"]
 
     @staticmethod
     def of(body: BodyModel, settings: RgbdSettings) -> "SkinField":
@@ -58,7 +59,11 @@ class SkinField:
         pads = Footpads.of(body)
         if pads is not None:
             basis[body.faces[pads.face, pads.corner]] = 0.0
-        return SkinField(body, basis, clothing(body, settings))
+        return SkinField(body, basis, clothing(body, settings), np.zeros(len(rest)))
+
+    def with_hair(self, hair: Float[np.ndarray, " V"]) -> "SkinField":
+        """With hair of a measured thickness (m)."""
+        return replace(self, layer=np.maximum(self.layer, hair), hair=hair)
 
     @property
     def count(self) -> int:
