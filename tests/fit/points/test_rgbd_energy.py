@@ -2,13 +2,17 @@
 to what is planted, and none raises the cost.
 """
 
+from dataclasses import replace
+
 import numpy as np
+from rgbd_scene_small import small_scene
 from synthetic import synthetic_body
 
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import points_around
-from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, freed
+from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, freed, look, match
 from habitus.fit.points.depth_settings import DepthStage, RgbdSettings
+from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.residuals.points import PointObservations, points_on_surface
 from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import Minimized, alternate
@@ -85,3 +89,32 @@ def test_a_cost_for_each_term_adds_up():
     found = steps(energy, truth, start, frames)
     assert set(found.costs) == {"depth", "shape", "pose"}
     np.testing.assert_allclose(sum(found.costs.values()), found.cost)
+
+
+def test_the_scale_of_depth_follows_a_view_that_is_noisier_and_factors_act_on_weights():
+    body, scene = small_scene()
+    (view, _) = scene.capture.views
+    prepared = PreparedView.of(view, segment(view))
+    energy = DepthEnergy.of(body, [prepared], RgbdSettings())
+    (grid,) = energy.grids(2)
+    surface = scene.surfaces[0] @ prepared.turn.T + prepared.shift + np.array([0.03, 0.0, 0.01])
+    drawn = look(grid, surface, energy.triangles)
+    stage = DepthStage(1, moves="all", matching="pixel", stride=2, scales=(0.01, 0.01))
+
+    def matched(scale, ratio, factor=None):
+        here = replace(stage, scale_ratio=ratio)
+        return match(grid, drawn, here, scale, 0.001, energy.settings, factor)
+
+    def weights(matching, name):
+        return (matching.matches[name].directions ** 2).sum((1, 2))
+
+    median = float(np.median(matched(1.0, 0.0).distance))
+    for scale, ratio, expected in ((1e-4, 3.0, 3.0 * median), (0.2, 3.0, 0.2)):
+        np.testing.assert_allclose(
+            weights(matched(scale, ratio), "depth"), weights(matched(expected, 0.0), "depth")
+        )
+    half = matched(0.01, 0.0, np.full(len(drawn.face), 0.5))
+    for name in ("depth", "outline"):
+        whole = weights(matched(0.01, 0.0), name)
+        assert len(whole)
+        np.testing.assert_allclose(weights(half, name), 0.5 * whole)

@@ -66,6 +66,8 @@ Depth energy (`depth_energy`; thesis eq. 4.3). Fields are those of `RgbdSettings
 
 On the scalp "depth" and "outline" weigh a hundredth (`DepthStage.scalp_weight`) until hair is
 measured, and with skin offsets where it is thick; "colour" leaves that out (`hair_margin`).
+With skin offsets the scale of w is 12 mm, but at least 3 times the median distance of the view's
+pixels (`skin_scale`, `skin_scale_ratio`).
 spread = hypot(noise z^2 cosine, model_sd) for a pixel at distance z (m) whose ray meets the surface
 at that cosine, 0.3 at least; stride and factor are full-size pixels along the side of one that is
 used. "floor" acts only in stages that move all unknowns (`DepthStage.moves` "all") and with skin

@@ -123,6 +123,8 @@ def match(
         np.linalg.norm(point - target, axis=1) if stage.matching == "nearest" else np.abs(off)
     )
     factor = np.ones(len(drawn.face)) if factor is None else factor
+    if len(distance):
+        reach = max(reach, stage.scale_ratio * float(np.median(distance)))
     weight = settings.depth * grid.stride**2 / spread**2 * geman_mcclure_weight(distance, reach)
     slide = settings.slide if stage.matching == "nearest" else 0.0
     depth_term = PointObservations.to_planes(
@@ -427,12 +429,17 @@ class DepthEnergy:
         """All terms but colour, correspondences being those of surfaces with skin and clothes."""
         settings = replace(self.settings, depth=self.settings.skin_depth)
         last = self.settings.stages[-1]
-        scalp_weight = last.scalp_weight if field.hair.any() else 1.0
-        stage = replace(last, stride=self.settings.skin_stride, scalp_weight=scalp_weight)
+        stage = replace(
+            last,
+            stride=self.settings.skin_stride,
+            scale_ratio=self.settings.skin_scale_ratio,
+            scalp_weight=last.scalp_weight if field.hair.any() else 1.0,
+        )
         models = self.surfaces(state)
         seen = field.seen(models, state.skin)
         energy = replace(self, settings=settings)
-        observations = energy.observations(seen, self.grids(stage.stride), stage, stage.scales[-1])
+        grids = self.grids(stage.stride)
+        observations = energy.observations(seen, grids, stage, self.settings.skin_scale)
         depth = [
             SkinPlanes.of(field, state.body, k, state.skin, view["depth"], models[k], seen[k])
             for k, view in enumerate(observations)

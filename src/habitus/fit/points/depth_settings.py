@@ -21,7 +21,8 @@ class DepthStage(Stage):
     moves: "place" (translation and root), "pose" or "all". matching: "nearest" (the closest surface
     point in space) or "pixel" (the one at the same pixel). stride: of pixels in both directions.
     scales: Geman-McClure's, at the first step and the last, m: a pixel so far off weighs a quarter.
-    It is the robust norm of thesis eq. 4.5, whose loss ends below the absolute value.
+    It is the robust norm of thesis eq. 4.5, whose loss ends below the absolute value. scale_ratio:
+    the scale is at least so many times the median distance of a view's pixels.
     scalp_weight: factor of the weight of drawn points where hair may grow, before hair is measured
     and, where it is thick, afterwards. At 1 the head grows until it fills the hair.
     """
@@ -30,11 +31,12 @@ class DepthStage(Stage):
     matching: str
     stride: int
     scales: tuple[float, float]
+    scale_ratio: float = 0.0
     scalp_weight: float = 1.0
 
 
-HAIR = HairSettings(hairline=0.5)
-"""The lower half of a forehead, seen from the front, has no hair."""
+HAIR = HairSettings(hairline=0.5, least_thickness=0.007)
+"""The lower half of a forehead, seen from the front, has no hair. Flat hair measures up to 6 mm."""
 
 _SHAPE = partial(DepthStage, moves="all", scalp_weight=HAIR.weight)
 
@@ -372,6 +374,10 @@ class RgbdSettings:
     """Full-size pixels along the side of one that is used with skin offsets: half the resolution of
     an Azure Kinect; chosen by hand for speed.
     """
+    skin_scale: float = 0.012
+    """Geman-McClure's scale with skin offsets, which explain what the body does not, at least:"""
+    skin_scale_ratio: float = 3.0
+    """it is so many times the median distance of a view's pixels, where these are noisier."""
     skin_steps: int = 4
     """Steps with skin offsets by depth alone: of each body that is tried, and again before those
     with colour."""
