@@ -59,6 +59,25 @@ def test_who_stands_beside_the_person_is_counted(person):
     assert cleaned(person[0]).islands == 0.0
 
 
+def test_a_hand_beyond_a_hole_in_the_forearm_is_the_persons(registrar, person):
+    """A scanner's hole of 10 cm made an island of a hand."""
+    scan, surface = person
+    body = registrar.body
+    elbow, wrist = (
+        surface[body.skinning_weights[:, body.joint_names.index(f"left_{name}")] > 0.5].mean(0)
+        for name in ("elbow", "wrist")
+    )
+    way = wrist - elbow
+    way = way / np.linalg.norm(way)
+    along = (scan.points - elbow) @ way
+    near = np.linalg.norm(scan.points - elbow - along[:, None] * way, axis=1) < 0.15
+    hand = near & (along > 0.11)
+    for hole, share in ((0.12, 0.0), (0.25, hand.mean())):
+        kept = ~near | (along < 0.11 - hole) | hand
+        found = cleaned(Scan("hole", scan.points[kept])).islands
+        assert found == pytest.approx(share, rel=0.2, abs=1e-9)
+
+
 def test_the_scan_of_nobody_in_any_unit_is_refused(person):
     with pytest.raises(HabitusError, match="large"):
         cleaned(spoilt("scaled by 0.001", person[0]))

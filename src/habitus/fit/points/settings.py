@@ -45,8 +45,9 @@ class CleaningSettings:
     floor_tries: int = 200
     island_link: float = 0.03
     """Points so close are one piece."""
-    island_reach: float = 0.06
-    """Pieces so close to the largest are the person's, if they have `island_share` of its points.
+    island_reach: float = 0.09
+    """Pieces so close to the largest are the person's, if they have `island_share` of its points: a
+    hand beyond a forearm of which 10 cm were not seen.
     """
     island_share: float = 0.004
     normal_neighbours: int = 16
