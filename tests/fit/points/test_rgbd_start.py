@@ -92,6 +92,24 @@ def test_height_is_read_off_the_mask(seen):
     assert abs(np.ptp(body.rest_vertices(betas)[:, 1]) - np.ptp(surface[:, 1])) < 0.08
 
 
+@pytest.mark.parametrize("stretch", [1.0, 1.2])
+def test_who_reaches_beyond_the_image_is_at_least_as_tall_as_what_is_seen(seen, stretch):
+    """Someone 2.04 m tall who filled the image began as someone of 1.69 m, and ended 18 cm above
+    the floor.
+    """
+    body, sight, _, _ = seen
+    points = sight.points * [1.0, stretch, 1.0]
+    rows = np.flatnonzero(sight.mask.any(1))
+    part = slice(rows[0], rows[-1] + 1)
+    behind, mask = sight.behind[part], sight.mask[part]
+    cut = replace(sight, points=points[part], mask=mask, behind=behind)
+    assert cut.cut_off and not sight.cut_off
+    mean = np.ptp(body.rest_vertices(body.people_mean)[:, 1])
+    height = np.percentile(cut.points[cut.mask][:, 1], 99.7)
+    found = np.ptp(body.rest_vertices(scaled_to_height(body, [cut]))[:, 1])
+    assert found == pytest.approx(max(mean, height), abs=0.06)
+
+
 def test_the_true_surface_misfits_least(seen):
     body, sight, surface, _ = seen
     grid = sight.grid(2)

@@ -400,16 +400,20 @@ class DepthEnergy:
         scale: float,
     ) -> list[dict[str, PointObservations]]:
         """Of each view the correspondences of its pixels on surfaces, by the term's name."""
-        observations = []
-        for view, grid, surface in zip(self.views, grids, surfaces, strict=True):
+
+        def of_view(
+            parts: tuple[PreparedView, Grid, np.ndarray],
+        ) -> dict[str, PointObservations]:
+            view, grid, surface = parts
             noise = self.settings.noise if view.noise is None else view.noise
             drawn = look(grid, surface, self.triangles)
             factor = 1.0 - (1.0 - stage.scalp_weight) * self._scalp_at(drawn)
             by_term = dict(match(grid, drawn, stage, scale, noise, self.settings, factor).matches)
             if self.pads is not None and view.on_floor and stage.moves == "all":
                 by_term["floor"] = self.pads.on_floor(surface, self.body, self.settings)
-            observations.append(by_term)
-        return observations
+            return by_term
+
+        return map_on_threads(of_view, zip(self.views, grids, surfaces, strict=True))
 
     def points_terms(
         self, state: BodyState, views: Sequence[Mapping[str, PointObservations]]

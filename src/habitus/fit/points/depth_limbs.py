@@ -21,8 +21,7 @@ from habitus.fit.points.depth_energy import (
     person_distances,
 )
 from habitus.fit.points.depth_settings import DepthStage
-from habitus.fit.points.depth_start import Tried, arm_poses, refined, with_view
-from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus.fit.points.depth_start import Tried, arm_poses, placed, refined, with_view, yaw_of
 
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
 
@@ -69,15 +68,17 @@ def _of_view(
     inconsistent = _inconsistent(energy, state, k, [rows for _, rows in limbs])
     for (limb, rows), doubtful in zip(limbs, inconsistent, strict=True):
         if len(rows) and (doubtful or (lost and limb == "arm")):
-            now = _best_pose(energy, k, now, rows, _other_poses(energy, state, k, limb))
+            others = _other_poses(energy, state, k, limb)
+            now = _best(energy, k, now, [_with_limb(now, other, rows) for other in others])
     if (lost or sum(inconsistent) > 1) and len(state.pose) > 1:
-        poses = [
-            _facing_as(pose, state.pose[k], yaw)
+        own = np.rad2deg(yaw_of(state.pose[k, 0]))
+        whole = [
+            _standing(energy, k, state.betas, pose, own + turn)
             for j, pose in enumerate(state.pose)
             if j != k
-            for yaw in settings.limbs.turns
+            for turn in settings.limbs.turns
         ]
-        now = _best_pose(energy, k, now, np.arange(energy.body.num_joints), poses)
+        now = _best(energy, k, now, whole)
     return (state, means) if now is first else with_view(state, means, k, now)
 
 
@@ -113,37 +114,34 @@ def _other_poses(
     )
 
 
-def _best_pose(
-    energy: DepthEnergy,
-    k: int,
-    now: Tried,
-    rows: Int[np.ndarray, " j"],
-    poses: list[Float[np.ndarray, "J 3"]],
-) -> Tried:
-    """Of the poses of some joints (``rows``), the one with the least misfit in view k after coarse
-    steps of all and fine steps of the best; ``now`` where none is better.
+def _best(energy: DepthEnergy, k: int, now: Tried, starts: list[Tried]) -> Tried:
+    """Of some starts, the one with the least misfit in view k after coarse steps of all and fine
+    steps of the best; ``now`` where none is better.
     """
     settings = energy.settings
     stride = _stride(energy, k)
     coarse = replace(settings.search.coarse[-1][1], stride=2 * stride)
     fine = replace(settings.limbs.fine, stride=stride)
-    tried = [_refined(energy, k, _with_limb(now, other, rows), coarse) for other in poses]
+    tried = [_refined(energy, k, start, coarse) for start in starts]
     tried = sorted(tried, key=lambda start: start.misfit)[: settings.limbs.kept]
     stays, *others = (_refined(energy, k, start, fine) for start in (now, *tried))
     best = min(others, key=lambda start: start.misfit)
     return best if best.misfit < settings.limbs.improvement * stays.misfit else now
 
 
-def _facing_as(
-    pose: Float[np.ndarray, "J 3"], own: Float[np.ndarray, "J 3"], degrees: float
-) -> Float[np.ndarray, "J 3"]:
-    """A pose of another view, turned as this view has it and by so many degrees more about the
-    upright.
+def _standing(
+    energy: DepthEnergy,
+    k: int,
+    betas: Float[np.ndarray, " B"],
+    pose: Float[np.ndarray, "J 3"],
+    degrees: float,
+) -> Tried:
+    """A pose of another view, upright, turned by so many degrees from facing the camera, and placed
+    on the person of view k.
     """
-    turned = pose.copy()
-    more = matrix_from_rotvec(np.array([0.0, np.deg2rad(degrees), 0.0]))
-    turned[0] = rotvec_from_matrix(more @ matrix_from_rotvec(own[0]))
-    return turned
+    pose = np.concatenate([np.zeros((1, 3)), pose[1:]])
+    grid = energy.views[k].grid(energy.settings.search.stride)
+    return placed(energy, grid, energy.body.prepare(betas)(pose), betas, pose, degrees)
 
 
 def _with_limb(now: Tried, other: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:

@@ -111,23 +111,24 @@ def scaled_to_height(
     views: list[PreparedView],
     settings: DepthSearchSettings = STANDARD.search,
 ) -> Float[np.ndarray, " B"]:
-    """The likeliest betas of a person as tall as the one seen; the mean person's where that cannot
-    be seen.
+    """The likeliest betas of a person as tall as the one seen; the mean person's where the image
+    cuts the person off, unless what is seen is already taller.
     """
     mean = np.zeros(body.num_betas) if body.people_mean is None else np.array(body.people_mean)
+    top, sole = (pick(body.v_template[:, 1]) for pick in (np.argmax, np.argmin))
+    now = np.ptp(body.rest_vertices(mean)[[top, sole], 1])
     heights = []
     for view in views:
         own = view.points[view.mask]
-        if not view.cut_off:
-            low = 0.0 if view.on_floor else np.percentile(own[:, 1], 0.3)
-            heights.append(np.percentile(own[:, 1], 99.7) - low)
+        low = 0.0 if view.on_floor else np.percentile(own[:, 1], 0.3)
+        height = np.percentile(own[:, 1], 99.7) - low
+        if height > now or not view.cut_off:
+            heights.append(height)
     low, high = settings.heights
     heights = [height for height in heights if low < height < high]
     if not heights:
         return mean
-    top, sole = (pick(body.v_template[:, 1]) for pick in (np.argmax, np.argmin))
     slope = body.shapedirs[top, 1] - body.shapedirs[sole, 1]
-    now = np.ptp(body.rest_vertices(mean)[[top, sole], 1])
     step = (float(np.median(heights)) - now) * slope / max(float(slope @ slope), 1e-9)
     return mean + np.clip(step, -settings.max_beta, settings.max_beta)
 
@@ -159,7 +160,7 @@ def _best(
         start = Tried(BodyState(betas, pose[None], trans[None]), pose, np.inf)
         return refined(energy, k, prepared, start, settings.coarse[-1][1]), None
     started = [
-        _placed(energy, grid, prepared(pose), betas, pose, degrees)
+        placed(energy, grid, prepared(pose), betas, pose, degrees)
         for pose in poses
         for degrees in turns
     ]
@@ -219,7 +220,7 @@ def arm_pose(
     }
 
 
-def _placed(
+def placed(
     energy: DepthEnergy,
     grid: Grid,
     surface: BodySurface,

@@ -31,6 +31,7 @@ from habitus.fit.points.correspondences import Footpads, hidden_vertices
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import farthest_points
+from habitus.parallel.workers import map_on_threads
 from habitus.residuals.points import PointObservations, points_on_surface
 from habitus.solve.terms import Quadratic, Term
 
@@ -244,8 +245,13 @@ def skin_planes_term(body: BodyModel, planes: Sequence[SkinPlanes], count: int) 
         def derivatives() -> tuple[dict[str, np.ndarray], dict[tuple[str, str], np.ndarray]]:
             gradient = np.zeros((len(pose), size + count))
             matrix = np.zeros((len(pose), size + count, size + count))
-            for each, displaced in zip(planes, moved, strict=True):
-                slope, curvature = each.equations(betas, pose[each.k], trans[each.k], displaced)
+
+            def of_planes(row: int) -> tuple[np.ndarray, np.ndarray]:
+                each = planes[row]
+                return each.equations(betas, pose[each.k], trans[each.k], moved[row])
+
+            equations = map_on_threads(of_planes, range(len(planes)))
+            for each, (slope, curvature) in zip(planes, equations, strict=True):
                 gradient[each.k] += slope
                 matrix[each.k] += curvature
             blocks = {(a, b): matrix[:, part[a], part[b]] for a, b in own + mixed}
