@@ -360,7 +360,7 @@ class DepthEnergy:
         """
         settings = self.settings.measured_hair
         if settings is None:
-            return self.scalp
+            return np.zeros(self.body.num_vertices)
         apart, normals, nearest = [], [], []
         grids = self.grids(self.settings.skin_stride)
         for grid, surface in zip(grids, self.surfaces(state), strict=True):

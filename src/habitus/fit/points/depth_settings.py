@@ -38,14 +38,14 @@ class DepthStage(Stage):
 HAIR = HairSettings(hairline=0.5, least_thickness=0.007)
 """The lower half of a forehead, seen from the front, has no hair. Flat hair measures up to 6 mm."""
 
-_SHAPE = partial(DepthStage, moves="all", scalp_weight=HAIR.weight)
+_shape_stage = partial(DepthStage, moves="all", scalp_weight=HAIR.weight)
 
 STAGES = (
     DepthStage(3, moves="place", matching="nearest", stride=4, scales=(0.15, 0.15)),
     DepthStage(4, moves="pose", matching="nearest", stride=4, scales=(0.15, 0.10)),
-    _SHAPE(2, matching="nearest", stride=4, scales=(0.10, 0.08)),
-    _SHAPE(3, matching="pixel", stride=4, scales=(0.08, 0.06)),
-    _SHAPE(6, matching="pixel", stride=2, scales=(0.06, 0.03)),
+    _shape_stage(2, matching="nearest", stride=4, scales=(0.10, 0.08)),
+    _shape_stage(3, matching="pixel", stride=4, scales=(0.08, 0.06)),
+    _shape_stage(6, matching="pixel", stride=2, scales=(0.06, 0.03)),
 )
 """Nearest points forgive a start that is off but shrink girths under noise; the same pixel is
 unbiased near it. The shape is fitted with hardly any of the scalp, as hair is not yet measured.

@@ -333,8 +333,8 @@ def refined(
     def terms_at(values: dict[str, Any], stage: DepthStage, step: int) -> dict[str, Term]:
         scale = float(np.linspace(*stage.scales, stage.steps)[step])
         now = BodyState(**values)
-        matchesd = match(grid, drawn_at(now), stage, scale, settings.noise, settings).matches
-        return {**energy.points_terms(now, [matchesd]), "pose": prior}
+        by_term = match(grid, drawn_at(now), stage, scale, settings.noise, settings).matches
+        return {**energy.points_terms(now, [by_term]), "pose": prior}
 
     solved = alternate(
         terms_at,
