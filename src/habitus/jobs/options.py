@@ -406,7 +406,7 @@ class RgbdOptions(DepthOptions):
     """
     hair_mm: Annotated[float | None, unset("MM")] = None
     """Thickness of hair and cap, which is subtracted from the head; where it is not given, hair of
-    more than 1 cm is measured, and 3 mm are subtracted from other heads.
+    7 mm or more is measured, and 3 mm are subtracted from other heads.
     """
 
 
