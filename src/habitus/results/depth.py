@@ -65,6 +65,7 @@ def depth_metrics(fit: RgbdFit) -> dict[str, Any]:
         "costs": dict(fit.costs),
         "body_costs": dict(fit.body_costs),
         "stage_seconds": {**seconds, "total": sum(seconds.values())},
+        "hair_mm": 0.0 if fit.hair is None else float(1e3 * fit.hair.max()),
         "body_measurements": dict(fit.measurements),
         "gender": gender_entry(_female_probability(fit), fit.gender),
         "verdict": fit.verdict.entry(),

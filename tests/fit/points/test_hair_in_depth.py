@@ -16,6 +16,7 @@ from habitus.fit.points.depth_settings import HAIR
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.skin_offsets import SkinField, scalp
 from habitus.mesh.normals import vertex_normals
+from habitus.results.depth import depth_metrics
 from habitus_lab.population.rgbd_people import planted_rest, rgbd_scene
 
 
@@ -85,6 +86,7 @@ def test_height_and_head_are_measured_under_the_hair(body):
     ):
         fit = fit_views(scene.capture, body, settings=replace(settings, colour_levels=()))
         assert any("cm thick" in note for note in fit.warnings) == (name == "measured")
+        assert (depth_metrics(fit)["hair_mm"] > 20.0) == (name == "measured")
         errors[name] = {key: abs(fit.measurements[key] - true[key]) for key in true}
     assert errors["measured"]["height_m"] < 0.02
     assert errors["measured"]["head_circumference_m"] < 0.025

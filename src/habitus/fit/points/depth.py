@@ -325,6 +325,7 @@ def fit_views(
         ),
         gender=gender,
         skin=fit.skin,
+        hair=fit.hair,
         status=fit.status,
     )
 

@@ -231,7 +231,8 @@ class RgbdFit(Moving):
     (the lowest one is taken); empty where the body was given; ``status``: how it ended
     (`habitus.minimize`: "converged", "iterations", "stalled", …).
     ``skin``: how far the person's skin is off the body of betas, outwards along its normals (m);
-    `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of
+    `vertices` and `measurements` have it, `surfaces` are of betas alone. ``hair``: thickness (m) of
+    measured hair, which is in none of them; 0 where it is flat. View k is what a fit of
     markers calls frame k: ``vertices(k)``.
     """
 
@@ -253,6 +254,7 @@ class RgbdFit(Moving):
     rate_hz: float = 1.0
     up_axis: str = "+y"
     skin: Float[np.ndarray, " V"] | None = None
+    hair: Float[np.ndarray, " V"] | None = None
     status: str = "iterations"
     soft_tissue: None = None
     dynamics: None = None
