@@ -14,6 +14,7 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import hidden_vertices
+from habitus.fit.points.limb_settings import LIMBS
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.skin_grid import SkinGrid
 from habitus.fit.verdict import (
@@ -49,6 +50,8 @@ SCANNED_PEOPLE = PeopleLimits(
 than a fit's that infers them: a surface on the scan measures it. Less than 1 cm of hair is measured
 with the head. Proportions: a scan stretched by 1.3 across lies at 6.7, one squeezed by 0.7 in depth
 at 6.3, six surfaces of people whom no body of ours made at 1.9 to 4.0."""
+
+TWIST = Bound(LIMBS.most_twisted, np.inf)
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ class ScanLimits:
     joint: Bound = Bound(6.0, np.inf)
     """Standard deviations of one joint by itself. No joint of 643 frames of ten captures is beyond
     4.5; collars that hold a wrong arm to the scan are at 6 to 14."""
-    twist: Bound = Bound(4.0, np.inf)
+    twist: Bound = TWIST
     """Standard deviations of a forearm's twist, its hand's included (`limbs.forearm_twists`). 1.9
     is the most of 1159 frames of six captures; two forearms half a turn off had 6.3 and 6.7."""
     seen: Bound = Bound(0.6, 0.15)
