@@ -20,9 +20,11 @@ from habitus.fit.offsets import (
 )
 from habitus.fit.points.correspondences import Topology, find_correspondences
 from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan_evidence import compared
 from habitus.fit.points.scan_fitting import OffsetEquations, PreviousFrame, ScanFitter
 from habitus.fit.points.scan_stage import ScanStage
 from habitus.fit.points.settings import CLOTHES, HairSettings
+from habitus.fit.verdict import PARTS, vertex_parts
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
 from habitus.solve.terms import geman_mcclure_weight
@@ -265,3 +267,24 @@ def with_hair(fitter: ScanFitter, state: BodyState, thickness: float) -> Cloud:
     faces = fitter.body.faces
     hair = thickness * fitter.scalp[:, None] * vertex_normals(model, faces)
     return sampled(model + hair, faces, 9000, 3)
+
+
+@pytest.mark.parametrize(
+    ("joint", "off", "lost"),
+    [
+        ("left_hip", 0.012, False),
+        ("left_hip", 0.025, True),
+        ("left_hand", 0.012, True),
+        ("head", 0.012, True),
+    ],
+)
+def test_folds_of_the_body_may_be_further_off_than_hands_and_head(fitter, joint, off, lost):
+    state = a_state(fitter, 3)
+    model = fitter.vertices(state)
+    faces = fitter.body.faces
+    here = fitter.body.strongest_joint == fitter.body.joint_names.index(joint)
+    moved = model + off * here[:, None] * vertex_normals(model, faces)
+    cloud = sampled(moved, faces, 9000, 3)
+    found = compared(fitter, cloud, model, model)
+    assert (found["lost"] > 0.002) == lost
+    assert not lost or found["lost_part"] == PARTS[vertex_parts(fitter.body)[here][0]]

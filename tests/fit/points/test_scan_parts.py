@@ -318,7 +318,7 @@ def test_what_is_a_little_off_at_an_end_is_a_doubt_on_that_end_alone(part, share
 def test_a_rare_shape_is_a_doubt_by_degree_and_no_failure():
     betas = [
         np.array([5.0, -3.0, 3.5, *np.zeros(13)]),
-        np.full(4, 2.6),
+        np.full(4, 3.1),
         np.full(4, 9.0),
         np.array([8.7, *np.zeros(23)]),
     ]

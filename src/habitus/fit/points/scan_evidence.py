@@ -17,7 +17,7 @@ from habitus.fit.points.limb_settings import LimbSettings
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import OffsetFit, ScanFitter
 from habitus.fit.points.settings import SCANS
-from habitus.fit.verdict import PARTS, vertex_parts
+from habitus.fit.verdict import BODY, PARTS, vertex_parts
 from habitus.mesh.normals import vertex_normals
 
 
@@ -55,7 +55,11 @@ def compared(
     if matched.any():
         counted = to_surface < settings.matched_distance
         counted &= np.abs(there.cosine) > settings.matched_cosine
-    lost, place = lost_piece(cloud.points, np.where(skin, to_surface, 0.0), settings.limbs)
+    limbs = settings.limbs
+    on_body = vertex_parts(fitter.body)[corners[:, 0]] == PARTS.index(BODY)
+    limit = np.where(on_body, limbs.lost_in_folds, limbs.lost_distance)
+    off = np.where(skin, to_surface, 0.0) * limbs.lost_distance / limit
+    lost, place = lost_piece(cloud.points, off, limbs)
     hung = np.where(skin, 0.0, there.outside(cloud.points))
     joint = np.array(fitter.body.joint_names)[fitter.body.strongest_joint[corners[:, 0]]]
     return {
