@@ -14,8 +14,8 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import hidden_vertices
-from habitus.fit.points.limb_settings import LIMBS
 from habitus.fit.points.scan import Cloud
+from habitus.fit.points.settings import SCANS
 from habitus.fit.points.skin_grid import SkinGrid
 from habitus.fit.verdict import (
     BODY,
@@ -51,7 +51,7 @@ than a fit's that infers them: a surface on the scan measures it. Less than 1 cm
 with the head. Proportions: a scan stretched by 1.3 across lies at 6.7, one squeezed by 0.7 in depth
 at 6.3, six surfaces of people whom no body of ours made at 1.9 to 4.0."""
 
-TWIST = Bound(LIMBS.most_twisted, np.inf)
+TWIST = Bound(SCANS.limbs.most_twisted, np.inf)
 
 
 @dataclass(frozen=True)
