@@ -191,6 +191,9 @@ def test_a_head_out_of_proportion_speaks_of_the_head_and_a_stretched_person_of_t
     assert reason.part == HEAD
     (reason,) = proportion_reasons(hair, None, CLOSE)
     assert reason.part == BODY
+    narrow = measured | {name: 0.8 * measured[name] for name in ("head_length_m", "head_breadth_m")}
+    (reason,) = proportion_reasons(narrow, None, limits)
+    assert reason.part == BODY  # no hair makes a head smaller: a scan squeezed in depth was good
     for stretch in ((1.35, 1.0, 1.0), (1.0, 1.0, 0.7), (1.0, 1.35, 1.0)):
         (reason,) = proportion_reasons(body.measure_rest(rest * stretch), None, limits)
         assert reason.part == BODY

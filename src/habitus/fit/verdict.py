@@ -310,8 +310,8 @@ def proportion_reasons(
     """An adult's height, head and feet in proportions outside those of the survey: data stretched
     along one axis can be fitted well by a body with every single measurement in range.
 
-    Where height and feet without the head are in proportion (`PeopleLimits.without_head`), the
-    reason is the head's.
+    Where height and feet without the head are in proportion (`PeopleLimits.without_head`) and the
+    head is too large, as hair makes it, the reason is the head's.
     """
     if (age is not None and age < ADULT) or any(name not in measurements for name in RIGID):
         return
@@ -325,7 +325,8 @@ def proportion_reasons(
     # the head that makes such a body likeliest
     nearest = np.linalg.lstsq(ADULTS_WHITENING[:, head], seen)[0]
     without = float(np.linalg.norm(seen - ADULTS_WHITENING[:, head] @ nearest))
-    part = limits.head if without <= limits.without_head else BODY
+    larger = float((logs[head] + nearest).sum()) > 0.0
+    part = limits.head if larger and without <= limits.without_head else BODY
     yield Reason(level, "proportions", {"distance": distance}, part)
 
 
