@@ -355,22 +355,24 @@ class DepthEnergy:
         return solved, ended, last.look_at(solved.state)
 
     def hair(self, state: BodyState) -> Float[np.ndarray, " V"]:
-        """The thickness (V,; m) of hair over the model; 0 below `HairSettings.least_thickness`, and
-        where it is not measured.
+        """The thickness (V,; m) of hair over the model, the median over all views; 0 below
+        `HairSettings.least_thickness`, and where it is not measured.
         """
         settings = self.settings.measured_hair
         if settings is None:
             return np.zeros(self.body.num_vertices)
-        apart, normals, nearest = [], [], []
+        outside, distances, scalps = [], [], []
         grids = self.grids(self.settings.skin_stride)
         for grid, surface in zip(grids, self.surfaces(state), strict=True):
-            vertex = KDTree(surface).query(grid.points[grid.person])[1]
-            apart.append(grid.points[grid.person] - surface[vertex])
-            normals.append(vertex_normals(surface, self.body.faces)[vertex])
-            nearest.append(vertex)
-        offset, normal, vertex = map(np.concatenate, (apart, normals, nearest))
-        outside, distance = (offset * normal).sum(1), np.linalg.norm(offset, axis=1)
-        thickness = hair_thickness(outside, distance, self.scalp[vertex], settings)
+            points = grid.points[grid.person]
+            distance, vertex = KDTree(surface).query(points)
+            normal = vertex_normals(surface, self.body.faces)[vertex]
+            outside.append(((points - surface[vertex]) * normal).sum(1))
+            distances.append(distance)
+            scalps.append(self.scalp[vertex])
+        thickness = hair_thickness(
+            np.concatenate(outside), np.concatenate(distances), np.concatenate(scalps), settings
+        )
         return self.scalp * (thickness if thickness >= settings.least_thickness else 0.0)
 
     def _scalp_at(self, drawn: Drawn) -> Float[np.ndarray, " N"]:

@@ -80,7 +80,7 @@ class LimbSettings:
     whole_limbs: int = 5
     """Arms, legs and head: the first of the guesser's limbs."""
     unusual: float = 5.0
-    """Standard deviations of a joint by itself beyond which its limb is placed anew: no joint of
+    """Standard deviations of a joint by itself beyond which its limb is searched again: no joint of
     643 frames of ten captures is beyond 4.5; collars of arms turned about themselves are at 6 to
     14."""
     twisted: float = 3.0

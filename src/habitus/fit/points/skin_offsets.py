@@ -39,7 +39,7 @@ from habitus.solve.terms import Quadratic, Term
 @dataclass(frozen=True, eq=False)
 class SkinField:
     """The field's basis (V, C; m), none on the soles, which stand on the floor, the thickness of
-    what is worn (V,; m), and of it that of measured hair (V,; m), of a body.
+    clothes and hair (V,; m), and that of measured hair alone (V,; m), of a body.
     """
 
     body: BodyModel
