@@ -92,6 +92,24 @@ def exchange(
     return swap(scene, markers, rng, used, slice(None))
 
 
+def exchange_sides(
+    scene: Scene, markers: np.ndarray, rng: np.random.Generator, used: Sequence[int] = ()
+) -> Spoilt:
+    """A marker and its partner on the other side carry each other's label throughout."""
+    places = scene.clean.latent_markers
+    apart = np.linalg.norm(places[:, None] * (-1.0, 1.0, 1.0) - places, axis=2)
+    labels = scene.clean.labels
+    column = {label: scene.capture.labels.index(label) for label in labels}
+    pairs = {
+        column[labels[i]]: column[labels[j]]
+        for i, j in enumerate(np.argmin(apart, axis=1).tolist())
+        if apart[i, j] < 0.05 and np.linalg.norm(places[i] - places[j]) > 0.05
+    }
+    while (first := scene.pick(rng, used)) not in pairs:
+        pass
+    return faults.swapped(markers, first, pairs[first]), [first, pairs[first]]
+
+
 def fall(
     scene: Scene, markers: np.ndarray, rng: np.random.Generator, used: Sequence[int] = ()
 ) -> Spoilt:
@@ -202,6 +220,7 @@ KINDS: dict[str, Planter] = {
     "gap 2 s": all_gone(2.0),
     "limb gap 0.5 s": limb_gone(0.5),
     "limb gap 2 s": limb_gone(2.0),
+    "wrong side": exchange_sides,
 }
 
 

@@ -28,10 +28,10 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
 from habitus.files import write_text
 from habitus.fit.markers.hold_out import HeldMarkers
-from habitus.fit.markers.recipe import Recording, fit_subject
-from habitus.fit.markers.recordings import spread_frames
+from habitus.fit.markers.recordings import Recording, spread_frames
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.markers.shape import ShapeFit
+from habitus.fit.markers.subject import fit_subject
 from habitus.fit.placements import Seen, learned, offsets_at_rest, seen
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.layouts.files import list_layouts, placements_text, plain_layout

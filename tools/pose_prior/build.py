@@ -20,11 +20,11 @@ from ranges import range_prior
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior, shipped_prior
 from habitus.files import atomic_write
-from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.recordings import random_frames
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings
 from habitus.fit.markers.start import start_sequence
+from habitus.fit.markers.subject import fit_subject
 from habitus.io.captures.read import read_capture
 from habitus.io.models.bodies import load_body
 from habitus.jobs.subjects import person_of

@@ -21,8 +21,8 @@ from habitus.fit.labels.clouds import Clouds, packed, telling_frames, tracklets
 from habitus.fit.labels.people import only, people_on_ground
 from habitus.fit.labels.recipe import Known, Named, label_people, label_points, misfit
 from habitus.fit.labels.settings import LABELS, LabelSettings
-from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.subject import fit_subject
 from habitus.io.captures.c3d_relabel import write_relabelled
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures

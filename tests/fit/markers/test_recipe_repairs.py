@@ -59,7 +59,17 @@ def test_a_pair_that_changes_places_for_a_time_is_put_back(clean, quickly, pair)
     assert np.nanmedian(found.errors("pose")) < np.nanmedian(quickly.errors("pose")) + 2 * NOISE
 
 
-@pytest.mark.parametrize("pair", [("LFWT", "LBWT"), ("CLAV", "STRN")])
+@pytest.mark.parametrize(
+    "pair",
+    [
+        ("LFWT", "LBWT"),  # latent markers end at each other's places
+        ("CLAV", "STRN"),
+        ("LWRA", "LWRB"),  # the forearm is half-turned
+        ("T10", "STRN"),  # front and back
+        ("C7", "CLAV"),
+        ("LKNE", "RKNE"),  # the other side
+    ],
+)
 def test_a_pair_exchanged_throughout_is_put_right(clean, quickly, pair):
     found = fit(clean, exchanged(clean, *pair), QUICK)
     np.testing.assert_array_equal(found.observed_markers, clean.observed)
@@ -72,10 +82,21 @@ def test_a_pair_exchanged_throughout_is_put_right(clean, quickly, pair):
     np.testing.assert_allclose(found.betas, quickly.betas, atol=0.1)
 
 
-def test_of_wrist_markers_exchanged_throughout_one_is_named(clean):
-    """A forearm that is turned by half explains one of them: it is not always put right."""
-    found = fit(clean, exchanged(clean, "LWRA", "LWRB"), QUICK)
-    assert set(accused(found)) & {"LWRA", "LWRB"}
+def test_two_pairs_exchanged_throughout_are_put_right(clean, quickly):
+    observed = exchanged(replace(clean, observed=exchanged(clean, "LKNE", "RKNE")), "T10", "STRN")
+    found = fit(clean, observed, QUICK)
+    np.testing.assert_array_equal(found.observed_markers, clean.observed)
+    assert {suspect.label for suspect in found.suspects} == {"LKNE", "RKNE", "T10", "STRN"}
+    np.testing.assert_allclose(found.betas, quickly.betas, atol=0.1)
+
+
+def test_a_wrong_label_is_not_exchanged_with_another(clean):
+    observed = clean.observed.copy()
+    shoulder, elbow = clean.columns("LSHO", "LELB")
+    observed[:, shoulder] = observed[:, elbow] + 0.02
+    found = fit(clean, observed, QUICK)
+    np.testing.assert_array_equal(found.observed_markers, observed)
+    assert set(accused(found)) == {"LSHO"} and "wrong label" in accused(found)["LSHO"][0]
 
 
 def test_frames_of_an_exchange_count_where_both_markers_are_seen(clean):

@@ -5,6 +5,7 @@ import pytest
 
 from habitus.fit.markers.suspects import (
     crossed_placements,
+    exchange_gains,
     far_placements,
     find_swaps,
     marker_noise,
@@ -97,6 +98,22 @@ def test_latent_markers_at_each_others_places():
     assert crossed_placements(latent, start) == ()
     latent[[1, 3]] = latent[[3, 1]]
     assert crossed_placements(latent, start) == ((1, 3),)
+
+
+def test_gains_of_exchanges_are_what_exchanging_them_saves(predicted):
+    predicted = np.broadcast_to(predicted, (200, 6, 3))
+    observed = noisy(predicted)
+    assert (exchange_gains(observed, predicted) < 0).all()
+    observed[:, [1, 4]] = observed[:, [4, 1]]
+    observed[:50, 1] = np.nan  # not seen
+    observed[:, 5] = np.nan
+    gains = exchange_gains(observed, predicted)
+    away = np.linalg.norm(observed - predicted, axis=2)
+    back = np.linalg.norm(observed[:, [4, 1]] - predicted[:, [1, 4]], axis=2)
+    saved = (away[50:, 1] + away[50:, 4] - back[50:].sum(axis=1)).mean()
+    np.testing.assert_allclose([gains[1, 4], gains[4, 1]], saved, rtol=1e-12)
+    assert (gains > 0).sum() == 2
+    assert np.isneginf(gains[5]).all() and np.isneginf(np.diagonal(gains)).all()
 
 
 def test_a_pair_that_gains_less_than_half_is_no_exchange():

@@ -19,7 +19,6 @@ from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.markers.causal import CausalFrame, CausalSolver
 from habitus.fit.markers.judge import LIMITS, SENTENCES
-from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.recordings import (
     MIN_MARKERS,
     Recording,
@@ -31,6 +30,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import LiveSettings, MoshSettings, sequence_settings
 from habitus.fit.markers.shape import ShapeFit, Subject
 from habitus.fit.markers.start import start_frame
+from habitus.fit.markers.subject import fit_subject
 from habitus.fit.markers.suspects import exchange
 from habitus.fit.verdict import (
     DOUBTFUL,

@@ -21,7 +21,6 @@ from habitus.body.prior import PosePrior
 from habitus.body.soft_tissue import check_space, parted
 from habitus.fit.markers.causal import CausalSolver, fit_causally
 from habitus.fit.markers.drift import Drift, find_drifts
-from habitus.fit.markers.energy import Placement, place
 from habitus.fit.markers.gaps import MarkerTargets, bridged, fill_short_gaps, without
 from habitus.fit.markers.recordings import (
     Recording,
@@ -31,20 +30,18 @@ from habitus.fit.markers.recordings import (
     first_frame,
     flag_warning,
     of_markers,
-    shape_frames,
     with_labels_restored,
     without_outliers,
 )
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult, fit_long, fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, sequence_settings
-from habitus.fit.markers.shape import HOPELESS, ShapeFit, Subject, shape_stage
-from habitus.fit.markers.start import start_frames, start_long, start_sequence, trunk_weights
+from habitus.fit.markers.shape import Subject
+from habitus.fit.markers.start import start_long, start_sequence
+from habitus.fit.markers.subject import fit_subject
 from habitus.fit.markers.suspects import (
     Suspect,
-    crossed_placements,
     exchange,
-    far_placements,
     find_swaps,
     lengths,
     marker_noise,
@@ -66,7 +63,6 @@ __all__ = [
     "fit_known",
     "fit_markers",
     "fit_recording",
-    "fit_subject",
     "iterate_fits",
     "known_subject",
 ]
@@ -177,70 +173,6 @@ def _cleaned(
     return [
         with_labels_restored(recording, layout.labels, settings.flips) for recording in recordings
     ]
-
-
-def fit_subject(
-    body: BodyModel,
-    prior: PosePrior,
-    layout: MarkerLayout,
-    recordings: Sequence[Recording],
-    settings: MoshSettings,
-) -> Subject:
-    """The shape stage on a few frames of all captures; a pair of labels exchanged throughout is
-    found and put right, and markers that are not the layout's lose their weight.
-    """
-    began = time.perf_counter()
-    prior = prior.for_joints(body.joint_names)
-    placement = place(layout, body)
-    observed, sources = shape_frames(recordings, settings)
-    pose, trans = _started(body, placement, observed, prior, settings)
-    shape = shape_stage(body, placement, observed, prior, pose, trans, settings)
-    exchanged: tuple[tuple[int, int], ...] = ()
-    misplaced: tuple[int, ...] = ()
-    if shape.status != HOPELESS:
-        start = default_markers(body, shape.betas, placement.vertices, placement.distance)
-        exchanged = crossed_placements(shape.latent_markers, start, settings.suspects)
-        if exchanged:
-            observed = exchange(observed, exchanged)
-            shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
-            start = default_markers(body, shape.betas, placement.vertices, placement.distance)
-        misplaced = far_placements(
-            shape.latent_markers,
-            start,
-            placement.place_spread,
-            _distances(shape, body, observed),
-            settings.suspects,
-        )
-        if misplaced:
-            others = ~np.isin(np.arange(len(layout)), misplaced)
-            kept = np.where(others[:, None], observed, np.nan)
-            shape = shape_stage(body, placement, kept, prior, shape.pose, shape.trans, settings)
-    seconds = time.perf_counter() - began
-    return Subject(body, prior, layout, shape, exchanged, misplaced, seconds, sources)
-
-
-def _started(
-    body: BodyModel,
-    placement: Placement,
-    observed: Float[np.ndarray, "F M 3"],
-    prior: PosePrior,
-    settings: MoshSettings,
-) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
-    """Pose and trans that the shape stage begins with, of the mean person."""
-    mean = np.zeros(body.num_betas)
-    latent = default_markers(body, mean, placement.vertices, placement.distance)
-    rig = marked_body(body, mean, attach(latent, body.rest_vertices(mean), body.faces))
-    trunk = trunk_weights(body, placement.vertices, settings.start)
-    aligning = trunk if settings.start_markers == "trunk" else np.ones_like(trunk)
-    return start_frames(rig, body.joint_names, aligning, observed, prior, settings.start)
-
-
-def _distances(
-    shape: ShapeFit, body: BodyModel, observed: Float[np.ndarray, "F M 3"]
-) -> Float[np.ndarray, "F M"]:
-    """Of the shape stage's markers from the observed ones (m), NaN where unseen."""
-    rig = marked_body(body, shape.betas, shape.attachment)
-    return np.linalg.norm(observed - predict(rig, shape.pose, shape.trans), axis=2)
 
 
 def fit_recording(recording: Recording, subject: Subject, settings: MoshSettings) -> MarkerFit:

@@ -137,8 +137,7 @@ class FlipSettings:
     """Share of the samples that jump: where more do, frames are out of order or all is noise, and
     no pair is looked for. 0.01 in 19 sound captures, 0.93 with their frames shuffled."""
     samples: int = 1000
-    """Frames of either order that the distances to other markers are compared in; bounds the work
-    on long captures."""
+    """Frames of either order in which distances to other markers are compared, at most."""
     tolerance: float = 5e-3
     """Metres by which distances between markers vary in any case (skin, noise)."""
     rigid_share: float = 1 / 6
@@ -185,6 +184,12 @@ class SuspectSettings:
     `rough_mean`, ``rough_limit`` of `min_displacement` and `placement_spreads` makes a marker
     misplaced."""
     rough_limit: float = 0.5
+    neighbours: int = 3
+    """A misplaced marker is tried as exchanged with so many of the nearest places."""
+    exchanges_tried: int = 8
+    """Pairs that are tried as exchanged throughout, at most."""
+    exchanged_cost: float = 0.8
+    """Cost with such a pair exchanged over that as labelled, at most."""
 
     @property
     def rough_mean(self) -> float:
@@ -275,8 +280,7 @@ class LiveSettings:
     better: float = 0.7
     """Of the cost: a restart is taken below this share of the current one."""
     complete: float = 0.5
-    """Share of the markers from which on a person begins at once; below it the verdict on the last
-    second is doubtful."""
+    """Share of the markers with which a person begins at once and a verdict is not doubtful."""
 
 
 @dataclass(frozen=True)
@@ -293,8 +297,7 @@ class RetrySettings:
     """Further shape stages, at most: each costs up to three times that of a sound capture, since
     none of its steps converges early."""
     frames: int = 600
-    """Frames from the capture's middle that an attempt is judged by; the best one is then solved
-    for the whole capture."""
+    """Frames from the capture's middle by which an attempt is judged."""
     return_distance: float = 0.06
     """Metres from the layout's place: a label left out comes back if its marker is closer."""
 
@@ -338,13 +341,11 @@ class MoshSettings:
     the body before it: no sound fit comes of it, and to settle it took most of the time of captures
     that fail. Sound captures have at most 0.011."""
     last_repeats: int = 3
-    """Times that the last step is solved: triangles and robust weights are held within a step, and
-    settle in these."""
+    """Times that the last step is solved, in which triangles and robust weights settle."""
     shape_iterations: int = 20
     """Dogleg iterations of a step, at most."""
     shape_tolerances: tuple[float, float] = (1e-3, 3e-5)
-    """Relative decrease of the cost at which steps, and the last step, end: only the last one's
-    result stays."""
+    """Relative decrease of the cost at which steps, and the last step, end."""
     frames: int = 12
     """How many frames the shape stage uses."""
     frame_choice: str = "spread"

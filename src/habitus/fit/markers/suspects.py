@@ -261,6 +261,21 @@ def crossed_placements(
     return tuple(chosen)
 
 
+def exchange_gains(
+    observed: Float[np.ndarray, "F M 3"], predicted: Float[np.ndarray, "F M 3"]
+) -> Float[np.ndarray, "M M"]:
+    """By how much (m) exchanging each pair of labels shortens the pair's summed residuals, on
+    average over the frames in which both are seen; -inf where there are none, and on the diagonal.
+    """
+    way = np.linalg.norm(observed[:, :, None] - predicted[:, None], axis=3)
+    own = np.diagonal(way, axis1=1, axis2=2)
+    gain = own[:, :, None] + own[:, None] - way - way.transpose(0, 2, 1)
+    seen = np.isfinite(gain)
+    count = seen.sum(axis=0)
+    mean = np.where(seen, gain, 0.0).sum(axis=0) / np.maximum(count, 1)
+    return np.where((count > 0) & ~np.eye(len(mean), dtype=bool), mean, -np.inf)
+
+
 def exchange(observed: np.ndarray, pairs: Sequence[tuple[int, int]]) -> np.ndarray:
     """Markers (T, M, 3) with the columns of each pair exchanged."""
     order = np.arange(observed.shape[1])
