@@ -56,8 +56,8 @@ class PersonBody:
     def noted(self, fit: MarkerFit) -> MarkerFit:
         """A fit of this body that records the choice."""
         warnings = (*fit.warnings, *self.notes)
-        return replace(
-            fit, gender=self.sex, female_probability=self.female_probability, warnings=warnings
+        return fit.annotated(
+            gender=self.sex, female_probability=self.female_probability, warnings=warnings
         )
 
 

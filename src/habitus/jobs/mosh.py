@@ -193,8 +193,7 @@ class Mosh(MoshOptions):
                 yield (
                     capture,
                     choice.noted(
-                        replace(
-                            fit,
+                        fit.annotated(
                             stage_seconds={"read": share, **fit.stage_seconds},
                             startup_seconds=startup,
                             discovered_layout=layout,
@@ -259,8 +258,8 @@ class Mosh(MoshOptions):
                 else [None] * len(held.observed)
             )
             for index, (fit, errors) in enumerate(zip(fits, known, strict=True)):
-                yield replace(
-                    fit, held_out=errors_of(fit, held, index), held_out_known_placement=errors
+                yield fit.annotated(
+                    held_out=errors_of(fit, held, index), held_out_known_placement=errors
                 )
             return
         every = self.hold_out_every
@@ -275,7 +274,7 @@ class Mosh(MoshOptions):
             default, known_placement = (
                 (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
             )
-            yield replace(fit, held_out=default, held_out_known_placement=known_placement)
+            yield fit.annotated(held_out=default, held_out_known_placement=known_placement)
 
 
 def _layout_text(person: Person, capture: Capture) -> str:

@@ -360,7 +360,7 @@ class Blob:
 
     def base64(self) -> str:
         """All arrays as one text."""
-        return base64.b64encode(zlib.compress(b"".join(self._chunks), 6)).decode("ascii")
+        return base64.b64encode(zlib.compress(b"".join(self._chunks), 4)).decode("ascii")
 
 
 def _row_steps(data: np.ndarray) -> bytes:

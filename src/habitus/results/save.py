@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -312,7 +312,7 @@ def save_markers(
     """
     check_npz_style(npz_style, fit.body)
     start = time.perf_counter()
-    fit = replace(fit, warnings=(*fit.warnings, *thinning_note(fit)))
+    fit = fit.annotated(warnings=(*fit.warnings, *thinning_note(fit)))
     with (
         one_blas_thread(),
         whole_folder(folder, MARKER_FILES) as partial,
@@ -333,7 +333,7 @@ def save_markers(
             animation.result()
         seconds = {**fit.stage_seconds, "export": time.perf_counter() - start}
         total = sum(value for name, value in seconds.items() if value and name != "total")
-        fit = replace(fit, stage_seconds={**seconds, "total": total})
+        fit = fit.annotated(stage_seconds={**seconds, "total": total})
         write_json(partial / METRICS, numbers | {"stage_seconds": stage_seconds(fit)})
     return fit
 

@@ -1,5 +1,7 @@
 """What a fit gives: surfaces, joints and errors of frames."""
 
+from dataclasses import replace
+
 import numpy as np
 from synthetic_fit import synthetic_fit
 
@@ -35,3 +37,14 @@ def test_surfaces_come_in_order_a_few_frames_at_a_time():
     betas = fit.betas + fit.soft_tissue[rows]
     expected = fit.body(betas, fit.pose[rows], fit.trans[rows], vertices=[3, 4]).vertices
     np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-12)
+
+
+def test_an_annotated_fit_keeps_what_was_judged():
+    fit = synthetic_fit(frames=20)
+    verdict, guessed = fit.verdict, fit.guessed
+    noted = fit.annotated(warnings=("a note",), held_out=np.zeros(3), gender="female")
+    assert noted.verdict is verdict and noted.guessed is guessed
+    assert noted.warnings == ("a note",) and noted.gender == "female" and fit.gender != "female"
+    afresh = replace(noted)
+    assert "verdict" not in vars(afresh) and afresh.verdict == verdict
+    assert "verdict" not in vars(synthetic_fit(frames=20).annotated(gender="male"))

@@ -4,8 +4,9 @@ Two measures of how well a fit is determined: the covariance of its betas, and t
 deviation of each joint segment's position where few markers are seen and the pose prior decides.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -183,3 +184,12 @@ class MarkerFit(MarkerSolution):
     def guessed(self) -> Guessed:
         """How well each joint's segment is known, over spans of time."""
         return guess(self, prior_of(self.body))
+
+    def annotated(self, **changes: Any) -> "MarkerFit":
+        """A copy with other warnings, times or held-out errors, on which neither `verdict` nor
+        `guessed` depends: they are not computed again.
+        """
+        copy = replace(self, **changes)
+        known = {key: vars(self)[key] for key in ("verdict", "guessed") if key in vars(self)}
+        vars(copy).update(known)
+        return copy
