@@ -45,6 +45,18 @@ LINES = (
     Line("mosh_accuracy", "two trials of a person, mean vertex distance (worst)", "pairs/*/mean_vertex_distance_mm", "worst", "{:.1f} mm"),
     Line("mosh_verdicts", "{}: captures", "summary/*/all"),
     Line("mosh_verdicts", "{}: called good", "summary/*/good"),
+    *(
+        Line("mosh_faults", f"{name}: {words}", f"summary/kind={kind}/{key}", "mean", form)
+        for kind, name in (("all", "all kinds"), ("exchange", "neighbours exchanged throughout"), ("wrong side", "left and right exchanged throughout"))
+        for key, words, form in (
+            ("planted", "spoilt markers", "{:.0f}"),
+            ("found", "named", "{:.0f}"),
+            ("clean_markers", "clean markers", "{:,.0f}"),
+            ("clean_named", "named by mistake", "{:.0f}"),
+            ("surface_mm", "surface from the clean fit's, mean", "{:.1f} mm"),
+            ("worst_surface_mm", "the same, worst fit", "{:.1f} mm"),
+        )
+    ),
     Line("labelling", "F1 by the layout", "scores/way=set/f1", "mean", "{:.4f}"),
     Line("labelling", "F1 by another capture", "scores/way=like/f1", "mean", "{:.4f}"),
     Line("mosh_speed", "shape stage", "stages/*/shape_s", "median", "{:.1f} s"),
