@@ -44,6 +44,7 @@ from habitus.fit.points.skin_offsets import (
     SkinPlanes,
     moved_back,
     scalp,
+    scalp_at,
     skin_planes_term,
     skin_prior,
 )
@@ -375,11 +376,6 @@ class DepthEnergy:
         )
         return self.scalp * (thickness if thickness >= settings.least_thickness else 0.0)
 
-    def _scalp_at(self, drawn: Drawn) -> Float[np.ndarray, " N"]:
-        """How much hair may grow at each drawn point, 0..1."""
-        share = (self.scalp[self.body.faces[drawn.face]] * drawn.barycentric).sum(1)
-        return np.minimum(share, 1.0)  # beyond 1 by rounding
-
     def priors(self, means: Float[np.ndarray, "K J 3"]) -> dict[str, Term]:
         """E_S about people's mean, and E_P about a pose for each view; the root is free."""
         body = self.body
@@ -409,7 +405,8 @@ class DepthEnergy:
             view, grid, surface = parts
             noise = self.settings.noise if view.noise is None else view.noise
             drawn = look(grid, surface, self.triangles)
-            factor = 1.0 - (1.0 - stage.scalp_weight) * self._scalp_at(drawn)
+            hair = scalp_at(self.scalp, self.body.faces[drawn.face], drawn.barycentric)
+            factor = 1.0 - (1.0 - stage.scalp_weight) * hair
             by_term = dict(match(grid, drawn, stage, scale, noise, self.settings, factor).matches)
             if self.pads is not None and view.on_floor and stage.moves == "all":
                 by_term["floor"] = self.pads.on_floor(surface, self.body, self.settings)

@@ -67,7 +67,7 @@ from habitus.fit.points.correspondences import (
 from habitus.fit.points.scan import Cloud, agreed, neighbours_of
 from habitus.fit.points.scan_stage import ScanStage
 from habitus.fit.points.settings import SCANS, ScanSettings
-from habitus.fit.points.skin_offsets import scalp
+from habitus.fit.points.skin_offsets import scalp, scalp_at
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term
 from habitus.solve.least_squares import Levenberg
@@ -190,15 +190,9 @@ class ScanFitter:
         return hair_thickness(
             found.outside(few.points),
             found.distances(few.points),
-            self._scalp_at(found),
+            scalp_at(self.scalp, self.topology.faces[found.face], found.barycentric),
             self.settings.hair,
         )
-
-    def _scalp_at(self, correspondences: Correspondences) -> Float[np.ndarray, " N"]:
-        """How much hair may grow at each correspondence, 0..1."""
-        corners = self.topology.faces[correspondences.face]
-        share = (self.scalp[corners] * correspondences.barycentric).sum(1)
-        return np.minimum(share, 1.0)  # beyond 1 by rounding
 
     def fit(
         self, state: BodyState, clouds: Sequence[Cloud], schedule: Sequence[ScanStage]
@@ -315,7 +309,8 @@ class ScanFitter:
         correspondences = self.matched(state, k, cloud)
         weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
         corners = self.topology.faces[correspondences.face]
-        weight *= 1.0 - (1.0 - stage.scalp_weight) * self._scalp_at(correspondences)
+        hair = scalp_at(self.scalp, corners, correspondences.barycentric)
+        weight *= 1.0 - (1.0 - stage.scalp_weight) * hair
         variance = stage.noise**2 / min(1.0, self.settings.effective_points / len(weight))
         weight *= self.clothes.factor(correspondences, corners, cloud.points, variance) / variance
         return PointObservations.to_planes(

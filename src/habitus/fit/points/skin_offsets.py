@@ -115,6 +115,15 @@ def scalp(body: BodyModel, hairline: float) -> Float[np.ndarray, " V"]:
     return head * np.clip((share - hairline) / 0.2, 0.0, 1.0)
 
 
+def scalp_at(
+    scalp: Float[np.ndarray, " V"],
+    corners: Int[np.ndarray, "N 3"],
+    barycentric: Float[np.ndarray, "N 3"],
+) -> Float[np.ndarray, " N"]:
+    """How much hair may grow at points of the skin, 0..1, given how much at each vertex."""
+    return np.minimum((scalp[corners] * barycentric).sum(1), 1.0)  # beyond 1 by rounding
+
+
 def moved_back(
     observations: PointObservations,
     model: Float[np.ndarray, "V 3"],
