@@ -2,6 +2,8 @@
 use.
 """
 
+import os
+
 import pytest
 
 from habitus.errors import HabitusError
@@ -43,3 +45,16 @@ def test_many_cores_are_not_all_used_unless_asked_for(monkeypatch):
         assert num_threads() == expected
     monkeypatch.setenv("NUMBA_NUM_THREADS", "20")
     assert num_threads() == 20
+
+
+def test_processes_have_one_thread_each_and_keep_their_memory(monkeypatch):
+    """Dask would have malloc return freed memory at once: an archive's stages take twice as long
+    then.
+    """
+    pytest.importorskip("distributed")
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    with open_queue(2) as queue:
+        for name, expected in (("MALLOC_TRIM_THRESHOLD_", "unset"), ("OPENBLAS_NUM_THREADS", "1")):
+            items = ["unset"]
+            ((_, found),) = queue.done(os.getenv, name, lambda i=items: i.pop() if i else None)
+            assert found == expected
