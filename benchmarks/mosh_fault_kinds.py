@@ -105,9 +105,10 @@ def exchange_sides(
         for i, j in enumerate(np.argmin(apart, axis=1).tolist())
         if apart[i, j] < 0.05 and np.linalg.norm(places[i] - places[j]) > 0.05
     }
-    while (first := scene.pick(rng, used)) not in pairs:
-        pass
-    return faults.swapped(markers, first, pairs[first]), [first, pairs[first]]
+    for _ in range(1000):
+        if (first := scene.pick(rng, used)) in pairs:
+            return faults.swapped(markers, first, pairs[first]), [first, pairs[first]]
+    return markers, []  # no marker has a partner
 
 
 def fall(

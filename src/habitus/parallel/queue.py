@@ -21,8 +21,8 @@ AHEAD = 2
 """Items a process that are sent before it asks for them."""
 _LIBRARIES = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 BEFORE_SPAWN = "distributed.nanny.pre-spawn-environ"
-"""Dask's setting of the environment that a process begins with. Its own value makes malloc return
-freed memory at once: page faults then take a quarter of an archive's CPU time."""
+"""Dask's setting of the environment in which a process starts. With its default malloc returns
+freed memory at once, and page faults take a quarter of an archive's CPU time."""
 _ONE_THREAD = dict.fromkeys(_LIBRARIES, "1") | {"OMP_WAIT_POLICY": "passive"}
 
 
@@ -143,7 +143,7 @@ def local_cluster(count: int) -> Iterator[Cluster]:
     options: dict[str, Any] = {
         "dashboard_address": None,
         "silence_logs": 50,
-        "env": _ONE_THREAD | _path(),
+        "env": _path(),
     }
     with ExitStack() as stack:
         try:

@@ -186,8 +186,8 @@ class MarkerFit(MarkerSolution):
         return guess(self, prior_of(self.body))
 
     def annotated(self, **changes: Any) -> "MarkerFit":
-        """A copy with other warnings, times or held-out errors, on which neither `verdict` nor
-        `guessed` depends: they are not computed again.
+        """A copy with other warnings, times, held-out errors or notes on the body's choice.
+        `verdict` and `guessed` do not depend on these and are not computed again.
         """
         copy = replace(self, **changes)
         known = {key: vars(self)[key] for key in ("verdict", "guessed") if key in vars(self)}

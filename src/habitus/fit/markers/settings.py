@@ -185,11 +185,11 @@ class SuspectSettings:
     misplaced."""
     rough_limit: float = 0.5
     neighbours: int = 3
-    """A misplaced marker is tried as exchanged with so many of the nearest places."""
+    """Markers at the nearest places with which a misplaced marker is tried as exchanged."""
     exchanges_tried: int = 8
     """Pairs that are tried as exchanged throughout, at most."""
     exchanged_cost: float = 0.8
-    """Cost with such a pair exchanged over that as labelled, at most."""
+    """Largest cost with such a pair exchanged, as a share of the cost as labelled."""
 
     @property
     def rough_mean(self) -> float:

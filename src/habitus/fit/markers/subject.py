@@ -109,10 +109,11 @@ class _ShapeStage:
     def _exchanged_pair(
         self, shape: ShapeFit, observed: np.ndarray, exchanged: tuple[Pair, ...]
     ) -> Pair | None:
-        """One more pair that is exchanged: of a few doubtful ones, the one with which the first
-        step of the annealing, whose loss is not robust yet, ends at the lowest cost and both
-        markers at their places; None where that is no less than `SuspectSettings.exchanged_cost` of
-        the cost as labelled.
+        """One more exchanged pair, or None.
+
+        Each of a few doubtful pairs is exchanged for the first step of the annealing, whose loss is
+        not robust yet. The pair of the lowest cost is taken, if both of its markers end at their
+        places and the cost is below `SuspectSettings.exchanged_cost` of the cost as labelled.
         """
         known = {marker for pair in exchanged for marker in pair}
         doubtful = dict.fromkeys(
@@ -148,8 +149,8 @@ class _ShapeStage:
         )
 
     def _nearer_exchanged(self, shape: ShapeFit, observed: np.ndarray) -> list[Pair]:
-        """Pairs whose residuals are shorter with their labels exchanged, by most first; a sound fit
-        has none.
+        """Pairs whose residuals are shorter with their labels exchanged, the largest gain first; a
+        sound fit has none.
         """
         gains = np.triu(exchange_gains(observed, self._predicted(shape)), 1)
         first, second = np.nonzero(gains > 0)
@@ -157,8 +158,8 @@ class _ShapeStage:
         return list(zip(first[order].tolist(), second[order].tolist(), strict=True))
 
     def _near_misplaced(self, shape: ShapeFit, observed: np.ndarray) -> list[Pair]:
-        """Misplaced markers with each other, their neighbours and they themselves with the markers
-        of the other side, and each with its neighbours.
+        """Pairs of misplaced markers; of a misplaced marker or a neighbour of one with its partner
+        on the other side; and of a misplaced marker with its neighbours.
         """
         places = self._places(shape.betas)
         misplaced = self.misplaced(shape, observed)
@@ -199,7 +200,7 @@ class _ShapeStage:
 
 
 def _nearest(place: np.ndarray, places: np.ndarray, without: int) -> list[int]:
-    """Markers by their places' distance from one, without the one named."""
+    """Markers sorted by the distance of their places from `place`, without one of them."""
     order = np.argsort(np.linalg.norm(places - place, axis=1)).tolist()
     order.remove(without)
     return order
