@@ -110,21 +110,13 @@ def start_sequence(
     """
     enough = ~few_markers(observed)
     bank = _bank(known_poses, joint_names)
-    everywhere = np.ones(observed.shape[1])
+    upright = _upright_markers(rig, bank)
     looked_at = _nearest_of(
         np.flatnonzero(enough), np.arange(0, len(observed), settings.frame_step)
     )
-    misfit = []
-    for known in bank:
-        pose = np.repeat(known[None], len(looked_at), axis=0)
-        misfit.append(
-            _misfit(
-                rig, *align_root(rig, pose, observed[looked_at], everywhere), observed[looked_at]
-            )
-        )
-    nearest = np.argmin(misfit, axis=0)
-    pose = np.repeat(bank[nearest], settings.frame_step, axis=0)[: len(observed)]
-    pose, trans = align_root(rig, pose, observed, everywhere)
+    misfit = [_alignment(markers[None], observed[looked_at])[2] for markers in upright]
+    nearest = np.repeat(np.argmin(misfit, axis=0), settings.frame_step)[: len(observed)]
+    pose, trans = _placed(rig, bank[nearest], *_alignment(upright[nearest], observed)[:2])
     pose[:, 0] = bridge_rotations(pose[:, 0], enough)
     return pose, bridge(trans, enough)
 
@@ -161,9 +153,8 @@ def start_frame(
     has no time.
     """
     bank = _bank(known_poses, joint_names)
-    each = np.repeat(observed[None], len(bank), axis=0)
-    pose, trans = align_root(rig, bank, each, np.ones(len(observed)))
-    pose, trans = best_of_tries(_misfit(rig, pose, trans, each), pose, trans)
+    matrix, shift, misfit = _alignment(_upright_markers(rig, bank), observed[None])
+    pose, trans = best_of_tries(misfit, *_placed(rig, bank, matrix, shift))
     return pose, trans
 
 
@@ -183,12 +174,35 @@ def _nearest_of(frames: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return np.where(targets - before <= frames[after] - targets, before, frames[after])
 
 
-def _misfit(
-    rig: MarkedBody, pose: np.ndarray, trans: np.ndarray, observed: np.ndarray
-) -> np.ndarray:
-    """(F,) mean distance of a frame's visible markers from the predicted ones, metres."""
-    distance = np.linalg.norm(predict(rig, pose, trans) - observed, axis=2)
-    return np.nan_to_num(distance).sum(axis=1) / np.maximum(np.isfinite(distance).sum(axis=1), 1)
+def _upright_markers(rig: MarkedBody, pose: np.ndarray) -> np.ndarray:
+    """Predicted markers (F, M, 3) of poses whose root is not turned, at the origin."""
+    upright = np.concatenate([np.zeros_like(pose[:, :1]), pose[:, 1:]], axis=1)
+    return predict(rig, upright, np.zeros((len(pose), 3)))
+
+
+def _alignment(
+    markers: np.ndarray, observed: np.ndarray, trunk: np.ndarray | float = 1.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotation (F, 3, 3) and shift (F, 3) that take markers to the visible observed ones, both (F,
+    M, 3) or one for all, and the mean distance (F,) that is left.
+    """
+    markers, observed = np.broadcast_arrays(markers, observed)
+    weights = np.where(np.isfinite(observed[..., 0]), trunk, 0.0)
+    weights[weights.sum(axis=1) == 0] = 1.0
+    matrix, shift = procrustes(markers, np.nan_to_num(observed), weights)
+    moved = markers @ np.swapaxes(matrix, 1, 2) + shift[:, None]
+    distance = np.linalg.norm(moved - observed, axis=2)
+    count = np.maximum(np.isfinite(distance).sum(axis=1), 1)
+    return matrix, shift, np.nan_to_num(distance).sum(axis=1) / count
+
+
+def _placed(
+    rig: MarkedBody, pose: np.ndarray, matrix: np.ndarray, shift: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses with their root turned by matrices, and trans."""
+    pivot = rig.rest_joints[0]
+    root = rotvec_from_matrix(matrix)[:, None]
+    return np.concatenate([root, pose[:, 1:]], axis=1), shift + matrix @ pivot - pivot
 
 
 def align_root(
@@ -200,14 +214,8 @@ def align_root(
     """``pose`` with its root turned, and trans, so that the trunk's markers fall on the observed
     ones (Procrustes).
     """
-    upright = np.concatenate([np.zeros_like(pose[:, :1]), pose[:, 1:]], axis=1)
-    reference = predict(rig, upright, np.zeros((len(pose), 3)))
-    weights = np.where(np.isfinite(observed[..., 0]), trunk, 0.0)
-    weights[weights.sum(axis=1) == 0] = 1.0
-    matrix, shift = procrustes(reference, np.nan_to_num(observed), weights)
-    pivot = rig.rest_joints[0]
-    trans = shift + matrix @ pivot - pivot
-    return np.concatenate([rotvec_from_matrix(matrix)[:, None], pose[:, 1:]], axis=1), trans
+    matrix, shift, _ = _alignment(_upright_markers(rig, pose), observed, trunk)
+    return _placed(rig, pose, matrix, shift)
 
 
 def trunk_weights(
