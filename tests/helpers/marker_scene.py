@@ -9,11 +9,18 @@ import numpy as np
 from rigged_body import random_body
 
 from habitus.body.pose_features import Hinges
+from habitus.fit.markers.marker_sequence import KernelSequence
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import BodyMarkers, predict
 from habitus.observe.marker_rig import marker_rig
 from habitus.observe.markers import attach
+
+
+class DoubleSequence(KernelSequence):
+    """The compiled kernels in float64, whose formulas are compared to the last digits."""
+
+    dtype = np.float64
 
 
 def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):

@@ -3,7 +3,7 @@ does the work.
 """
 
 import threading
-from concurrent.futures import ThreadPoolExecutor
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,9 +22,6 @@ from habitus.solve.sequence import (
 
 class Wells(DenseVisits):
     """Frames whose cost has two wells, at 1 and (deeper) at -1, linked to their neighbours."""
-
-    threads = 1
-    lanes = 1
 
     def __init__(self, frames, link=0.0):
         self.links = np.full((frames, 1), link)
@@ -98,11 +95,8 @@ def test_how_far_a_frame_has_to_go_is_told_whatever_the_damping():
     start = np.array([[3.0], [0.5], [1.2]])
     damping = np.array([0.0, 5.0, 80.0])
     step = (1.0 - start[:, 0]) * 4.0 / (4.0 + damping)
-    with ThreadPoolExecutor(1) as pool:
-        level = Level(
-            Bowls(3), np.arange(3), start, 1, damping, slice(0, 1), SequenceOptions(), pool
-        )
-        level.problem.visit(level, np.arange(3))
+    level = Level(Bowls(3), np.arange(3), start, 1, damping, slice(0, 1), SequenceOptions())
+    level.problem.visit(level, np.arange(3))
     np.testing.assert_allclose(level.moved, np.abs(start[:, 0] - 1.0), rtol=1e-6)
     np.testing.assert_allclose(level.states[:, 0], start[:, 0] + step, rtol=1e-6)
 
@@ -110,19 +104,10 @@ def test_how_far_a_frame_has_to_go_is_told_whatever_the_damping():
 @pytest.mark.parametrize("moved, factor", [(0.0, SequenceOptions().relaxation), (np.inf, 1.0)])
 def test_frames_that_hardly_moved_go_beyond_their_step(moved, factor):
     start = np.array([[1.01], [0.99], [1.02]])
-    with ThreadPoolExecutor(1) as pool:
-        level = Level(
-            Bowls(3),
-            np.arange(3),
-            start.copy(),
-            1,
-            np.zeros(3),
-            slice(0, 1),
-            SequenceOptions(),
-            pool,
-        )
-        level.moved[:] = moved
-        level.sweep(np.ones(3, dtype=bool))
+    options = SequenceOptions()
+    level = Level(Bowls(3), np.arange(3), start.copy(), 1, np.zeros(3), slice(0, 1), options)
+    level.moved[:] = moved
+    level.sweep(np.ones(3, dtype=bool))
     np.testing.assert_allclose(level.states, start + factor * (1.0 - start), atol=1e-9)
     assert SequenceOptions().relaxation > 1.0
 
@@ -183,6 +168,34 @@ def test_new_frames_start_where_they_lie_between_their_neighbours(monkeypatch):
     np.testing.assert_allclose(found.states[:, 0], np.linspace(-1.0, -0.6, 17))
 
 
+def test_a_start_that_is_nearly_a_solution_is_corrected_from_coarse_to_fine(monkeypatch):
+    """Frames between the coarse ones keep their own shape, and are moved as far as these."""
+    problem = Bowls(17)
+    monkeypatch.setattr(problem, "cost", lambda frames, states: np.zeros(len(frames)))
+    starts = []
+
+    def solve_level(self, most):
+        starts.append(self.states[:, 0].copy())
+        self.states[:, 0] += 0.1 * self.frames
+        return "", [0.0]
+
+    monkeypatch.setattr(Level, "solve", solve_level)
+    start = np.sin(np.arange(17.0))
+    solve(problem, start, strides=(4, 1), corrects=True)
+    np.testing.assert_allclose(starts[0], start[::4])
+    np.testing.assert_allclose(starts[1], start + 0.1 * np.arange(17))
+
+
+def test_corrections_end_where_the_finest_level_alone_does():
+    start = -1.0 + 0.05 * np.sin(np.arange(40.0))
+    ends = [
+        solve(Wells(40, 3.0), start, strides=strides, corrects=True, tolerance=1e-9, sweeps=300)
+        for strides in ((1,), (4, 1), (16, 4, 1))
+    ]
+    for end in ends[1:]:
+        np.testing.assert_allclose(end.states, ends[0].states, atol=1e-6)
+
+
 def test_frames_at_rest_are_not_visited_again():
     problem = Wells(30)
     start = np.full(30, -1.0)
@@ -195,17 +208,21 @@ def test_frames_at_rest_are_not_visited_again():
 @pytest.mark.parametrize(
     ("threads", "lanes", "count"), [(1, 1, 50), (3, 1, 50), (2, 8, 50), (3, 1, 1), (4, 8, 6)]
 )
-def test_work_is_shared_out_whole_and_only_among_several_threads(threads, lanes, count):
+@pytest.mark.parametrize("parallel", [False, True])
+def test_work_is_shared_out_whole_and_only_of_parallel_problems(
+    monkeypatch, parallel, threads, lanes, count
+):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", str(threads))
     blocks = []
     workers = set()
 
     def work(block):
         blocks.append(block)
         workers.add(threading.get_ident())
+        time.sleep(0.002)
 
-    with ThreadPoolExecutor(threads) as pool:
-        share_out(SimpleNamespace(threads=threads, lanes=lanes), work, np.arange(count), pool)
+    share_out(SimpleNamespace(parallel=parallel, lanes=lanes), work, np.arange(count))
     np.testing.assert_array_equal(np.sort(np.concatenate(blocks)), np.arange(count))
     assert len(blocks) <= BLOCKS_PER_THREAD * threads
     assert all(len(block) % lanes == 0 for block in blocks if block[-1] != count - 1)
-    assert (threading.get_ident() in workers) == (threads == 1 or len(blocks) == 1)
+    assert len(workers) == (min(threads, len(blocks)) if parallel else 1)

@@ -1,10 +1,11 @@
-"""Lanes: a number that is really LANES float64 numbers, one per frame, for kernels that treat
-several frames at once.
+"""Lanes: a number that is really LANES float64 numbers, or twice as many float32 numbers, one per
+frame, for kernels that treat several frames at once.
 
-Inside compiled functions a lane value is one SIMD register (`<8 x double>` with AVX-512, else `<4 x
-double>`): it is added, multiplied and so on like a float, also with floats, which spread over the
-lanes. Arrays of lanes are float64 arrays (n, LANES) whose rows `load` and `store` move. Code that
-uses only arithmetic reads like the code for one frame.
+Inside compiled functions a lane value is one SIMD register (`<8 x double>` or `<16 x float>` with
+AVX-512, else half of it): it is added, multiplied and so on like a float, also with floats, which
+spread over the lanes. Arrays of lanes are arrays (n, LANES) of float64 or (n, 2 LANES) of float32,
+whose rows `load` and `store` move; their type decides that of all that is computed from them. Code
+that uses only arithmetic reads like the code for one frame.
 
 numba vectorises no such loops by itself, hence this small extension of it.
 """
@@ -23,35 +24,49 @@ from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, register_model
 
 LANES = 8 if binding.get_host_cpu_features().get("avx512f", False) else 4
-"""Frames that share a register."""
+"""Frames that share a register, in float64; in float32 twice as many."""
 CACHE_LINE = 64
 
-_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 _FUSE = ("contract",)
 
 
 class Lane(types.Type):
-    """The numba type of a lane value."""
+    """The numba type of a lane value: `count` numbers of a type."""
 
-    def __init__(self):
-        super().__init__(name=f"Lane{LANES}")
+    def __init__(self, number: types.Float, count: int):
+        self.number = number
+        self.count = count
+        super().__init__(name=f"Lane{count}x{number}")
+
+    @property
+    def vector(self) -> ir.VectorType:
+        """LLVM's type."""
+        one = ir.DoubleType() if self.number == types.float64 else ir.FloatType()
+        return ir.VectorType(one, self.count)
 
 
-lane = Lane()
+KINDS = {
+    types.float64: Lane(types.float64, LANES),
+    types.float32: Lane(types.float32, 2 * LANES),
+}
+"""The lane type of arrays of each type."""
 
 
 @register_model(Lane)
 class _LaneModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, _VECTOR)
+        super().__init__(manager, kind, kind.vector)
 
 
-def lane_array(*shape: int) -> np.ndarray:
-    """Room for lanes, zeroed: (*shape, LANES) float64, on cache lines."""
-    size = int(np.prod(shape)) * LANES
-    memory = np.zeros(size + CACHE_LINE // 8)
-    skip = (-memory.ctypes.data % CACHE_LINE) // 8
-    return memory[skip : skip + size].reshape(*shape, LANES)
+def lane_array(*shape: int, dtype: type = np.float64) -> np.ndarray:
+    """Room for lanes, zeroed: (*shape, LANES) float64 or (*shape, 2 LANES) float32, on cache
+    lines.
+    """
+    lanes = LANES * 8 // np.dtype(dtype).itemsize
+    size = int(np.prod(shape)) * lanes
+    memory = np.zeros(size + CACHE_LINE // np.dtype(dtype).itemsize, dtype)
+    skip = (-memory.ctypes.data % CACHE_LINE) // memory.itemsize
+    return memory[skip : skip + size].reshape(*shape, lanes)
 
 
 def _known(function) -> Callable[..., Any]:
@@ -59,16 +74,25 @@ def _known(function) -> Callable[..., Any]:
     return intrinsic(function)
 
 
-def _spread(builder, value):
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.IntType(32)(0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), zeros)
+def _spread(builder, kind, value):
+    none = ir.Constant(kind.vector, ir.Undefined)
+    one = builder.insert_element(none, value, ir.IntType(32)(0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
+    return builder.shuffle_vector(one, none, zeros)
 
 
-def _as_lane(context, builder, kind, value):
-    if kind is lane:
+def _as_lane(context, builder, own, kind, value):
+    """A value of numba's type ``own`` as a lane value of type ``kind``."""
+    if own == kind:
         return value
-    return _spread(builder, context.cast(builder, value, kind, types.float64))
+    return _spread(builder, kind, context.cast(builder, value, own, kind.number))
+
+
+def _lane_of(*kinds):
+    """The one lane type among numba types; None where there is none, or several."""
+    lanes = {kind for kind in kinds if isinstance(kind, Lane)}
+    others = [kind for kind in kinds if not isinstance(kind, Lane | types.Float)]
+    return lanes.pop() if len(lanes) == 1 and not others else None
 
 
 def _teach(symbol, instruction):
@@ -77,21 +101,19 @@ def _teach(symbol, instruction):
     @infer_global(symbol)  # pyright: ignore[reportOptionalCall]
     class _Template(AbstractTemplate):
         def generic(self, args, kws):
-            if (
-                len(args) == 2
-                and lane in args
-                and all(kind is lane or isinstance(kind, types.Float) for kind in args)
-            ):
-                return lane(*args)
+            kind = _lane_of(*args)
+            if len(args) == 2 and kind is not None:
+                return kind(*args)
 
     def lower(context, builder, signature, args):
+        kind = signature.return_type
         pair = (
-            _as_lane(context, builder, kind, value)
-            for kind, value in zip(signature.args, args, strict=True)
+            _as_lane(context, builder, own, kind, value)
+            for own, value in zip(signature.args, args, strict=True)
         )
         return getattr(builder, instruction)(*pair, flags=_FUSE)
 
-    for pair in ((lane, lane), (lane, types.Float), (types.Float, lane)):
+    for pair in ((Lane, Lane), (Lane, types.Float), (types.Float, Lane)):
         lower_builtin(symbol, *pair)(lower)
 
 
@@ -104,31 +126,32 @@ _teach(operator.truediv, "fdiv")
 @infer_global(operator.neg)  # pyright: ignore[reportOptionalCall]
 class _Negative(AbstractTemplate):
     def generic(self, args, kws):
-        if args == (lane,):
-            return lane(lane)
+        if len(args) == 1 and isinstance(args[0], Lane):
+            return args[0](*args)
 
 
-@lower_builtin(operator.neg, lane)
+@lower_builtin(operator.neg, Lane)
 def _negative(context, builder, signature, args):
     return builder.fneg(args[0])
 
 
 @_known
-def spread(typingctx, value):
-    """The same number in every lane."""
+def spread(typingctx, workspace, value):
+    """The same number in every lane, of the type of an array of lanes."""
+    kind = _kind(workspace)
 
     def codegen(context, builder, signature, args):
-        return _as_lane(context, builder, signature.args[0], args[0])
+        return _as_lane(context, builder, signature.args[1], kind, args[1])
 
-    return lane(value), codegen
+    return kind(workspace, value), codegen
 
 
-def _call(builder, name, args):
+def _call(context, builder, kind, name, args):
     """Call one of LLVM's own functions of a vector."""
-    kind = ir.FunctionType(_VECTOR, [_VECTOR])
-    return builder.call(
-        cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args
-    )
+    function = ir.FunctionType(kind.vector, [kind.vector])
+    bits = 64 if kind.number == types.float64 else 32
+    full_name = f"llvm.{name}.v{kind.count}f{bits}"
+    return builder.call(cgutils.get_or_insert_function(builder.module, function, full_name), args)
 
 
 @_known
@@ -136,9 +159,9 @@ def root(typingctx, value):
     """Square root, lane by lane."""
 
     def codegen(context, builder, signature, args):
-        return _call(builder, "sqrt", args)
+        return _call(context, builder, value, "sqrt", args)
 
-    return lane(lane), codegen
+    return value(value), codegen
 
 
 @_known
@@ -146,9 +169,9 @@ def nearest(typingctx, value):
     """The whole number nearest to each lane."""
 
     def codegen(context, builder, signature, args):
-        return _call(builder, "rint", args)
+        return _call(context, builder, value, "rint", args)
 
-    return lane(lane), codegen
+    return value(value), codegen
 
 
 @_known
@@ -156,15 +179,18 @@ def where_less(typingctx, left, right, then, otherwise):
     """`then` in the lanes where left < right, `otherwise` elsewhere (and where either is not a
     number).
     """
+    kind = _lane_of(left, right, then, otherwise)
+    if kind is None:
+        raise TypingError(f"not lanes of one type: {left}, {right}, {then}, {otherwise}")
 
     def codegen(context, builder, signature, args):
         left, right, then, otherwise = (
-            _as_lane(context, builder, kind, value)
-            for kind, value in zip(signature.args, args, strict=True)
+            _as_lane(context, builder, own, kind, value)
+            for own, value in zip(signature.args, args, strict=True)
         )
         return builder.select(builder.fcmp_ordered("<", left, right), then, otherwise)
 
-    return lane(left, right, then, otherwise), codegen
+    return kind(left, right, then, otherwise), codegen
 
 
 def _row_pointer(context, builder, array_type, array, index):
@@ -183,38 +209,43 @@ def _row_pointer(context, builder, array_type, array, index):
         wraparound=False,
         boundscheck=False,
     )
-    return builder.bitcast(pointer, _VECTOR.as_pointer())
+    return builder.bitcast(pointer, _kind(array_type).vector.as_pointer())
 
 
-def _checked(array):
+def _kind(array) -> Lane:
+    """The lane type of an array (n, lanes)."""
     if not (
         isinstance(array, types.Array)
         and array.ndim == 2
         and array.layout == "C"
-        and array.dtype == types.float64
+        and array.dtype in KINDS
     ):
-        raise TypingError(f"lanes live in C-contiguous float64 arrays (n, LANES), not in {array}")
+        raise TypingError(
+            f"lanes live in C-contiguous arrays (n, lanes) of float64 or float32, not in {array}"
+        )
+    return KINDS[array.dtype]
 
 
 @_known
 def load(typingctx, array, index):
-    """Row `index` of an array (n, LANES)."""
-    _checked(array)
+    """Row `index` of an array (n, lanes)."""
+    kind = _kind(array)
 
     def codegen(context, builder, signature, args):
         return builder.load(_row_pointer(context, builder, signature.args[0], *args), align=8)
 
-    return lane(array, types.intp), codegen
+    return kind(array, types.intp), codegen
 
 
 @_known
 def store(typingctx, array, index, value):
-    """Write row `index` of an array (n, LANES)."""
-    _checked(array)
+    """Write row `index` of an array (n, lanes)."""
+    kind = _kind(array)
 
     def codegen(context, builder, signature, args):
         pointer = _row_pointer(context, builder, signature.args[0], args[0], args[1])
-        builder.store(_as_lane(context, builder, signature.args[2], args[2]), pointer, align=8)
+        lanes = _as_lane(context, builder, signature.args[2], kind, args[2])
+        builder.store(lanes, pointer, align=8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, value), codegen

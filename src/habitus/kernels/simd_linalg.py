@@ -186,9 +186,9 @@ def block_row(r, c):
 
 
 @jit_inline
-def spread3(x, y, z):
+def spread3(workspace, x, y, z):
     """The same vector in every lane."""
-    return spread(x), spread(y), spread(z)
+    return spread(workspace, x), spread(workspace, y), spread(workspace, z)
 
 
 @jit_inline

@@ -6,7 +6,7 @@ rigidly about joint j needs no corners: dx = m x (x - p_j) for each column m of 
 """
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
-from habitus.kernels.simd import LANES, load, spread
+from habitus.kernels.simd import load, spread
 from habitus.kernels.simd_linalg import (
     add3,
     along3,
@@ -31,8 +31,9 @@ def marker_columns(rig, slots, offsets, workspace, states, corners, columns):
     held, into ``columns`` (T, M, 3, N), of which only what is not zero is written; nor are those of
     trans, which are the identity.
     """
-    for first in range(0, len(states), LANES):
-        for k in range(LANES):
+    lanes = workspace.shape[1]
+    for first in range(0, len(states), lanes):
+        for k in range(lanes):
             t = min(first + k, len(states) - 1)
             for n in range(states.shape[1]):
                 workspace[offsets.state + n, k] = states[t, n]
@@ -40,8 +41,8 @@ def marker_columns(rig, slots, offsets, workspace, states, corners, columns):
         write_shape_jacobian(rig, offsets, workspace)
         write_hinge_turns(rig, offsets, workspace)
         for i in range(len(rig.triangles)):
-            write_columns(rig, slots, offsets, workspace, i, spread(1.0))
-        for k in range(min(LANES, len(states) - first)):
+            write_columns(rig, slots, offsets, workspace, i, spread(workspace, 1.0))
+        for k in range(min(lanes, len(states) - first)):
             for u in range(len(rig.rest_corners)):
                 for c in range(3):
                     corners[first + k, u, c] = workspace[offsets.corner + 3 * u + c, k]
@@ -209,17 +210,17 @@ def rest_slopes(rig, offsets, workspace, d, turned):
     """How x, y and z of a corner at rest change by pose blend shape d (none if -1) and the joint's
     hinges as R_j is turned from the left: sum_c R_c x P_c over the columns c.
     """
-    x = spread3(0.0, 0.0, 0.0)
-    y = spread3(0.0, 0.0, 0.0)
-    z = spread3(0.0, 0.0, 0.0)
+    x = spread3(workspace, 0.0, 0.0, 0.0)
+    y = spread3(workspace, 0.0, 0.0, 0.0)
+    z = spread3(workspace, 0.0, 0.0, 0.0)
     betas = offsets.state + 3 + 3 * len(rig.parents)
     if d >= 0:
-        x = slope(rig.posedirs, d, 0, turned)
-        y = slope(rig.posedirs, d, 1, turned)
-        z = slope(rig.posedirs, d, 2, turned)
+        x = slope(workspace, rig.posedirs, d, 0, turned)
+        y = slope(workspace, rig.posedirs, d, 1, turned)
+        z = slope(workspace, rig.posedirs, d, 2, turned)
         for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
             h = rig.fold_channel[k]
-            fold = spread3(rig.folds[k, 0], rig.folds[k, 1], rig.folds[k, 2])
+            fold = spread3(workspace, rig.folds[k, 0], rig.folds[k, 1], rig.folds[k, 2])
             for b in range(rig.fold_shapes.shape[2]):
                 change = rig.fold_shapes[k]
                 beta = load(workspace, betas + b)
@@ -232,10 +233,10 @@ def rest_slopes(rig, offsets, workspace, d, turned):
 
 
 @jit_inline
-def slope(posedirs, d, k, turned):
+def slope(workspace, posedirs, d, k, turned):
     """The same of one coordinate."""
     total = plus_crossed(
-        spread3(0.0, 0.0, 0.0), (turned[0], turned[3], turned[6]), posedirs, d, k, 0
+        spread3(workspace, 0.0, 0.0, 0.0), (turned[0], turned[3], turned[6]), posedirs, d, k, 0
     )
     total = plus_crossed(total, (turned[1], turned[4], turned[7]), posedirs, d, k, 1)
     return plus_crossed(total, (turned[2], turned[5], turned[8]), posedirs, d, k, 2)
@@ -260,7 +261,7 @@ def write_hinge_turns(rig, offsets, workspace):
     for h in range(len(rig.hinge_joint)):
         turned = load9(workspace, offsets.local + 9 * rig.hinge_joint[h])
         by = load(workspace, offsets.fold + 5 * h + 1)
-        turns = scale3(by, slope(rig.hinge_rows, h, 0, turned))
+        turns = scale3(by, slope(workspace, rig.hinge_rows, h, 0, turned))
         store3(workspace, offsets.fold + 5 * h + 2, turns)
 
 
@@ -268,9 +269,9 @@ def write_hinge_turns(rig, offsets, workspace):
 def write_blends(rig, offsets, workspace):
     """sum_k w_ik G_k of every corner."""
     for u in range(len(rig.rest_corners)):
-        x = spread3(0.0, 0.0, 0.0)
-        y = spread3(0.0, 0.0, 0.0)
-        z = spread3(0.0, 0.0, 0.0)
+        x = spread3(workspace, 0.0, 0.0, 0.0)
+        y = spread3(workspace, 0.0, 0.0, 0.0)
+        z = spread3(workspace, 0.0, 0.0, 0.0)
         for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
             m = load9(workspace, offsets.world + 9 * rig.influence_joint[k])
             w = rig.influence_weight[k]
@@ -285,7 +286,7 @@ def write_blends(rig, offsets, workspace):
 @jit_inline
 def corner_arm(slots, offsets, workspace, part, place):
     """sum over a corner's influences below the joint of u_ik - w_ik p_j."""
-    total = scale3(spread(-slots.part_weight[part]), place)
+    total = scale3(spread(workspace, -slots.part_weight[part]), place)
     for k in range(slots.part_start[part], slots.part_start[part + 1]):
         total = add3(total, load3(workspace, offsets.carried + 3 * slots.part_influence[k]))
     return total
@@ -326,7 +327,7 @@ def write_shape_jacobian(rig, offsets, workspace):
                 by_shape = load3(
                     workspace, offsets.joint_by_shape + 3 * (rig.influence_joint[k] * count + b)
                 )
-                total = add3(total, scale3(spread(rig.influence_weight[k]), by_shape))
+                total = add3(total, scale3(spread(workspace, rig.influence_weight[k]), by_shape))
             if b < rig.fold_shapes.shape[2]:
                 total = add3(total, turn3(blend, fold_change(rig, offsets, workspace, u, b)))
             store3(workspace, offsets.corner_by_shape + 3 * (u * count + b), total)
@@ -339,7 +340,7 @@ def write_joint_slopes(rig, offsets, workspace, b):
     count = rig.joint_shapedirs.shape[2]
     for j in range(len(rig.parents)):
         parent = rig.parents[j]
-        change = spread3(dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b])
+        change = spread3(workspace, dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b])
         moved = change
         if parent >= 0:
             # with o = p - G J: dp_j = do_parent + G_parent dJ_j

@@ -4,7 +4,7 @@ Every frame has a SIMD lane, and everything lies in one workspace (n, LANES) lai
 """
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
-from habitus.kernels.simd import LANES, load, root, spread, store, where_less
+from habitus.kernels.simd import load, root, spread, store, where_less
 from habitus.kernels.simd_linalg import (
     add3,
     along3,
@@ -27,13 +27,14 @@ from habitus.kernels.simd_linalg import (
 @jit_noalloc
 def predict_frames(rig, offsets, workspace, states, markers):
     """Markers (T, M, 3) of states (T, N)."""
-    for first in range(0, len(states), LANES):
-        for k in range(LANES):
+    lanes = workspace.shape[1]
+    for first in range(0, len(states), lanes):
+        for k in range(lanes):
             t = min(first + k, len(states) - 1)
             for n in range(states.shape[1]):
                 workspace[offsets.state + n, k] = states[t, n]
         place_markers(rig, offsets, workspace, offsets.state)
-        for k in range(min(LANES, len(states) - first)):
+        for k in range(min(lanes, len(states) - first)):
             for i in range(len(rig.triangles)):
                 for c in range(3):
                     markers[first + k, i, c] = workspace[offsets.marker + 3 * i + c, k]
@@ -58,7 +59,9 @@ def shape_joints(rig, offsets, workspace, state):
     betas = state + 3 + 3 * len(rig.parents)
     dirs = rig.joint_shapedirs
     for j in range(len(rig.parents)):
-        rest = spread3(rig.rest_joints[j, 0], rig.rest_joints[j, 1], rig.rest_joints[j, 2])
+        rest = spread3(
+            workspace, rig.rest_joints[j, 0], rig.rest_joints[j, 1], rig.rest_joints[j, 2]
+        )
         for b in range(dirs.shape[2]):
             rest = add3(
                 rest,
@@ -97,7 +100,7 @@ def weigh_hinges(rig, offsets, workspace):
     """Weight w = clip(x, 0, 1)^2 of each hinge channel, and dw / dx."""
     for h in range(len(rig.hinge_joint)):
         local = offsets.local + 9 * rig.hinge_joint[h]
-        x = spread(-rig.hinge_bias[h])
+        x = spread(workspace, -rig.hinge_bias[h])
         for e in range(9):
             x = x + rig.hinge_rows[h, 0, e] * (
                 load(workspace, local + e) - (1.0 if e % 4 == 0 else 0.0)
@@ -116,7 +119,9 @@ def shape_corners(rig, offsets, workspace, state):
     dirs = rig.corner_shapedirs
     posedirs = rig.posedirs
     for u in range(len(rig.rest_corners)):
-        rest = spread3(rig.rest_corners[u, 0], rig.rest_corners[u, 1], rig.rest_corners[u, 2])
+        rest = spread3(
+            workspace, rig.rest_corners[u, 0], rig.rest_corners[u, 1], rig.rest_corners[u, 2]
+        )
         for b in range(dirs.shape[2]):
             rest = add3(
                 rest,
@@ -142,7 +147,7 @@ def shape_corners(rig, offsets, workspace, state):
 @jit_inline
 def fold_change(rig, offsets, workspace, u, b):
     """How the hinges move a corner per unit of beta b."""
-    total = spread3(0.0, 0.0, 0.0)
+    total = spread3(workspace, 0.0, 0.0, 0.0)
     for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
         for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
             weight = load(workspace, offsets.fold + 5 * rig.fold_channel[k])
@@ -156,14 +161,14 @@ def move_corners(rig, offsets, workspace):
     """Corners in the world, and the share u_ik of each influence in them."""
     for u in range(len(rig.rest_corners)):
         rest = load3(workspace, offsets.rest + 3 * u)
-        total = spread3(0.0, 0.0, 0.0)
+        total = spread3(workspace, 0.0, 0.0, 0.0)
         for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
             j = rig.influence_joint[k]
             moved = add3(
                 turn3(load9(workspace, offsets.world + 9 * j), rest),
                 load3(workspace, offsets.offset + 3 * j),
             )
-            moved = scale3(spread(rig.influence_weight[k]), moved)
+            moved = scale3(spread(workspace, rig.influence_weight[k]), moved)
             store3(workspace, offsets.carried + 3 * k, moved)
             total = add3(total, moved)
         store3(workspace, offsets.corner + 3 * u, total)

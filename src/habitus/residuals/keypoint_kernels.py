@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.kernels.jit import jit, jit_inline
-from habitus.kernels.simd import LANES, load, spread, store, where_less
+from habitus.kernels.simd import load, spread, store, where_less
 from habitus.kernels.simd_linalg import (
     add3,
     add_row3,
@@ -115,7 +115,7 @@ def gather_keypoints(data, offsets, workspace, frames, states, group):
     """Bring states and observations of a group to its lanes."""
     keypoints = len(data.bone)
     cameras = len(data.focal)
-    for k in range(LANES):
+    for k in range(workspace.shape[1]):
         t = frames[group[k]]
         for n in range(states.shape[1]):
             workspace[offsets.state + n, k] = states[group[k], n]
@@ -130,35 +130,37 @@ def gather_keypoints(data, offsets, workspace, frames, states, group):
                 workspace[offsets.point + 4 * i + m, k] = data.points[t, i, m]
             workspace[offsets.point + 4 * i + 3, k] = data.point_weights[t, i]
     for j in range(len(data.parents)):
-        rest = spread3(data.joints[j, 0], data.joints[j, 1], data.joints[j, 2])
+        rest = spread3(workspace, data.joints[j, 0], data.joints[j, 1], data.joints[j, 2])
         store3(workspace, offsets.rest_joint + 3 * j, rest)
 
 
 @jit
 def keypoint_costs(data, offsets, workspace, frames, states, out):
     """f of frames in their states (F, N), into out (F,)."""
-    group = np.empty(LANES, dtype=np.int64)
-    for first in range(0, len(frames), LANES):
-        for k in range(LANES):
+    lanes = workspace.shape[1]
+    group = np.empty(lanes, dtype=np.int64)
+    for first in range(0, len(frames), lanes):
+        for k in range(lanes):
             group[k] = min(first + k, len(frames) - 1)
         gather_keypoints(data, offsets, workspace, frames, states, group)
         cost = keypoint_cost(data, offsets, workspace, offsets.state)
         store(workspace, offsets.step, cost)
-        for k in range(LANES):
+        for k in range(lanes):
             out[group[k]] = workspace[offsets.step, k]
 
 
 @jit
 def normal_equations(data, offsets, workspace, frames, states, out, gradients, matrices):
     """f (F,), gradients (F, N) and matrices (F, N, N) of frames in their states."""
-    group = np.empty(LANES, dtype=np.int64)
-    for first in range(0, len(frames), LANES):
-        for k in range(LANES):
+    lanes = workspace.shape[1]
+    group = np.empty(lanes, dtype=np.int64)
+    for first in range(0, len(frames), lanes):
+        for k in range(lanes):
             group[k] = min(first + k, len(frames) - 1)
         gather_keypoints(data, offsets, workspace, frames, states, group)
         cost = linearize_keypoints(data, offsets, workspace)
         store(workspace, offsets.step, cost)
-        for k in range(LANES):
+        for k in range(lanes):
             out[group[k]] = workspace[offsets.step, k]
             for r in range(states.shape[1]):
                 gradients[group[k], r] = workspace[offsets.gradient + r, k]
@@ -182,7 +184,7 @@ def keypoint_cost(data, offsets, workspace, state):
 def observe(data, offsets, workspace, k):
     """Of keypoint k its cost, place, pull, and the lower triangle of its information."""
     b = data.bone[k]
-    own = spread3(data.places[k, 0], data.places[k, 1], data.places[k, 2])
+    own = spread3(workspace, data.places[k, 0], data.places[k, 1], data.places[k, 2])
     world = load9(workspace, offsets.world + 9 * b)
     q = add3(load3(workspace, offsets.place + 3 * b), turn3(world, own))
     keypoints = len(data.bone)
@@ -195,7 +197,7 @@ def observe(data, offsets, workspace, k):
     cost = 0.5 * known * share * squared
     weight = known * share * share
     pull = weight * off[0], weight * off[1], weight * off[2]
-    none = spread(0.0)
+    none = spread(workspace, 0.0)
     xx, xy, yy, xz, yz, zz = weight, none, weight, none, none, weight
     for c in range(len(data.focal)):
         row = offsets.seen + 3 * (c * keypoints + k)
@@ -295,7 +297,11 @@ def write_prior(data, offsets, workspace):
             row = offsets.matrix + block_row(r, c)
             for i in range(3):
                 for m in range(3):
-                    store(workspace, row + 3 * i + m, spread(data.precision[3 * r + i, 3 * c + m]))
+                    store(
+                        workspace,
+                        row + 3 * i + m,
+                        spread(workspace, data.precision[3 * r + i, 3 * c + m]),
+                    )
 
 
 @jit_inline

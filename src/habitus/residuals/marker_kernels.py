@@ -40,7 +40,7 @@ from habitus.observe.marker_kernels import place_markers
 def frame_cost(rig, offsets, workspace, data, state):
     """f of the states in rows `state`, one lane each."""
     place_markers(rig, offsets, workspace, state)
-    total = spread(0.0)
+    total = spread(workspace, 0.0)
     for i in range(len(rig.triangles)):
         residual = sub3(
             load3(workspace, offsets.marker + 3 * i), load3(workspace, offsets.observed + 3 * i)
@@ -55,7 +55,7 @@ def frame_cost(rig, offsets, workspace, data, state):
 @jit_inline
 def prior_cost(data, workspace, state):
     """1/2 (z - mean)^T precision (z - mean)."""
-    total = spread(0.0)
+    total = spread(workspace, 0.0)
     for r in range(6, len(data.mean), 3):
         total = total + dot3(
             apart3(data, workspace, state, r), prior_gradient3(data, workspace, state, r)
@@ -73,7 +73,7 @@ def apart3(data, workspace, state, r):
 @jit_inline
 def prior_gradient3(data, workspace, state, r):
     """Entries r, r + 1, r + 2 of precision (z - mean); trans and root have none."""
-    total = spread3(0.0, 0.0, 0.0)
+    total = spread3(workspace, 0.0, 0.0, 0.0)
     precision = data.precision
     for c in range(6, len(data.mean)):
         off = load(workspace, state + c) - data.mean[c]
@@ -92,7 +92,7 @@ def linearize(rig, slots, offsets, workspace, data):
     clear(workspace, offsets.gradient, offsets.gradient + 3 * offsets.blocks)
     for r in range(offsets.blocks):
         clear(workspace, offsets.matrix + block_row(r, 0), offsets.matrix + block_row(r, 0) + 9)
-    cost = spread(0.0)
+    cost = spread(workspace, 0.0)
     for r in range(6, len(data.mean), 3):
         gradient = prior_gradient3(data, workspace, offsets.state, r)
         store3(workspace, offsets.gradient + r, gradient)
@@ -139,9 +139,9 @@ def add_pairs(slots, offsets, workspace, data):
     pair = 0
     for r in range(1, offsets.blocks):
         for c in range(1, r + 1):
-            x = spread3(0.0, 0.0, 0.0)
-            y = spread3(0.0, 0.0, 0.0)
-            z = spread3(0.0, 0.0, 0.0)
+            x = spread3(workspace, 0.0, 0.0, 0.0)
+            y = spread3(workspace, 0.0, 0.0, 0.0)
+            z = spread3(workspace, 0.0, 0.0, 0.0)
             for k in range(slots.pair_start[pair], slots.pair_start[pair + 1]):
                 a = load9(workspace, offsets.columns + 9 * slots.pair_left[k])
                 b = load9(workspace, offsets.columns + 9 * slots.pair_right[k])

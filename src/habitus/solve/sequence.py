@@ -10,19 +10,22 @@ a Levenberg damping of its own for each frame.
 
 Coarse to fine: every 16th frame first, then every 4th, then all, each new frame starting between
 its solved neighbours; key frames that cost much more than most are tried again from their
-neighbours' states. A second difference over h frames is h^2 times larger and its links weigh 1 /
-h^4 there, so that all levels ask for the same. Once steps are short they are lengthened
-(over-relaxation), which carries slow waves along faster. What no frame's own cost determines over a
-stretch much longer than 16 frames still converges slowly: start it well.
+neighbours' states. From a start that is nearly a solution, coarse frames are solved in the same
+way, and the frames between them are moved as far as these were (a correction). A second difference
+over h frames is h^2 times larger and its links weigh 1 / h^4 there, so that all levels ask for the
+same. Once steps are short they are lengthened (over-relaxation), which carries slow waves along
+faster. What no frame's own cost determines over a stretch much longer than 16 frames still
+converges slowly: start it well.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
+
+from habitus.kernels.threads import run_chunks
 
 BLOCKS_PER_THREAD = 4
 """How finely the frames of one colour are dealt out to threads."""
@@ -30,6 +33,8 @@ FLOOR = 1e-9
 """Added to each matrix' diagonal, for unknowns that nothing determines."""
 NOISE = 1e-13
 """A step may raise the cost by so much of it, which is rounding."""
+NOISE_32 = 2e-6
+"""The same for costs that are summed in float32."""
 REST = 0.3
 """A frame rests when neither it nor a neighbour moved by more than this share of the tolerance."""
 SHORT = 30.0
@@ -37,12 +42,10 @@ SHORT = 30.0
 
 
 class SequenceProblem(Protocol):
-    """What the solver asks of a problem; `visit` and `cost` are called from several threads at
-    once.
-    """
+    """What the solver asks of a problem."""
 
-    threads: int
-    """How many threads to use."""
+    parallel: bool
+    """Whether `visit` and `cost` may be called from several threads at once."""
     lanes: int
     """Frames that are best handed over together."""
 
@@ -90,6 +93,7 @@ class SequenceOptions:
     under which a frame rests. cost_tolerance: relative fall of the total cost in one sweep that
     ends a level as well. damping: the first Levenberg damping, in the unit of the Gauss-Newton
     matrix. relaxation: how much longer than Gauss-Newton's short steps are made; 1 without links.
+    corrects: the start is nearly a solution, and coarse levels correct it (module's docstring).
     """
 
     strides: tuple[int, ...] = (16, 4, 1)
@@ -99,6 +103,7 @@ class SequenceOptions:
     cost_tolerance: float = 1e-9
     damping: float = 1000.0
     relaxation: float = 1.3
+    corrects: bool = False
 
 
 @dataclass(eq=False, repr=False)
@@ -126,11 +131,10 @@ class LevelFrames:
 class Level(LevelFrames):
     """The frames of one stride while they are being solved."""
 
-    def __init__(self, problem, frames, states, stride, damping, measured, options, pool):
+    def __init__(self, problem, frames, states, stride, damping, measured, options):
         self.problem = problem
         self.frames = frames
         self.measured = measured
-        self.pool = pool
         self.damping = damping
         self.options = options
         self.states, links = problem.chart(frames, states)
@@ -138,14 +142,14 @@ class Level(LevelFrames):
         links = np.where(uneven[:, None], 0.0, links) / stride**4
         links[:2] = 0.0
         self.links = np.pad(links, ((0, 2), (0, 0)))
-        self.costs = evaluate(problem, frames, self.states, pool)
+        self.costs = evaluate(problem, frames, self.states)
         self.cost_decrease = np.zeros(len(frames))
         self.moved = np.full(len(frames), np.inf)
         self.relaxations = np.ones(len(frames))
 
     def solve(self, max_sweeps: int) -> tuple[str, list[float]]:
         """Sweep until every frame rests; status and the total cost after each sweep."""
-        history = [float(np.sum(self.costs)) + self.coupling_cost()]
+        history = [self.total_cost()]
         tolerance = self.options.tolerance
         quiet = False
         for _ in range(max_sweeps):
@@ -154,6 +158,7 @@ class Level(LevelFrames):
                 break
             history.append(history[-1] - self.sweep(active))
             quiet = history[-2] - history[-1] <= self.options.cost_tolerance * history[-1]
+        history[-1] = self.total_cost()  # sums of differences have rounded
         if not np.isfinite(self.costs).all():
             return "not finite", history
         return "converged" if quiet or not self._active(tolerance).any() else "iterations", history
@@ -163,9 +168,13 @@ class Level(LevelFrames):
         moved by them.
         """
         self.states[chosen], self.damping[chosen] = starts, self.options.damping
-        self.costs[chosen] = evaluate(self.problem, self.frames[chosen], starts, self.pool)
+        self.costs[chosen] = evaluate(self.problem, self.frames[chosen], starts)
         self.moved[:] = 0.0
         self.moved[chosen] = np.inf
+
+    def total_cost(self) -> float:
+        """The frames' own costs and the coupling's."""
+        return float(np.sum(self.costs)) + self.coupling_cost()
 
     def coupling_cost(self) -> float:
         """1/2 sum of link times squared second difference."""
@@ -186,9 +195,7 @@ class Level(LevelFrames):
         self.relaxations = np.where(short, self.options.relaxation, 1.0)
         for colour in range(3):
             chosen = np.flatnonzero(active & (colours == colour))
-            share_out(
-                self.problem, lambda block: self.problem.visit(self, block), chosen, self.pool
-            )
+            share_out(self.problem, lambda block: self.problem.visit(self, block), chosen)
         return float(np.sum(self.cost_decrease))
 
     def _active(self, limit: float) -> np.ndarray:
@@ -197,9 +204,7 @@ class Level(LevelFrames):
         return np.asarray(np.any(np.lib.stride_tricks.sliding_window_view(moving, 5), axis=1))
 
 
-def evaluate(
-    problem: SequenceProblem, frames: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor
-) -> np.ndarray:
+def evaluate(problem: SequenceProblem, frames: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Own cost of each frame (F,)."""
     costs = np.empty(len(frames))
 
@@ -207,7 +212,7 @@ def evaluate(
         with np.errstate(all="ignore"):
             costs[block] = problem.cost(frames[block], states[block])
 
-    share_out(problem, work, np.arange(len(frames)), pool)
+    share_out(problem, work, np.arange(len(frames)))
     return costs
 
 
@@ -215,17 +220,17 @@ def share_out(
     problem: SequenceProblem,
     work: Callable[[np.ndarray], None],
     chosen: np.ndarray,
-    pool: ThreadPoolExecutor,
 ) -> None:
-    """Let the threads work on blocks of the chosen frames."""
-    parts = BLOCKS_PER_THREAD * problem.threads
-    size = max(problem.lanes, -(-len(chosen) // (parts * problem.lanes)) * problem.lanes)
-    blocks = [chosen[k : k + size] for k in range(0, len(chosen), size)]
-    if len(blocks) == 1 or problem.threads == 1:
-        for block in blocks:
-            work(block)
-    else:
-        list(pool.map(work, blocks))
+    """Let the threads work on blocks of the chosen frames, which fill the lanes."""
+    lanes = problem.lanes
+
+    def work_on(_: int, begin: int, end: int) -> None:
+        work(chosen[begin * lanes : end * lanes])
+
+    if problem.parallel and len(chosen):
+        run_chunks(work_on, -(-len(chosen) // lanes), least=1, pieces=BLOCKS_PER_THREAD)
+    elif len(chosen):
+        work(chosen)
 
 
 class DenseVisits:
@@ -235,7 +240,7 @@ class DenseVisits:
     The plain form of a visit, for any problem: inherit from it.
     """
 
-    threads = 1
+    parallel = False
     lanes = 1
 
     def linearize(
@@ -367,20 +372,16 @@ def solve_sequence(
         strides = [stride for stride in strides if stride < options.strides[0]]
         solved = known.frames
         damping[solved] = known.damping
-    with ThreadPoolExecutor(problem.threads) as pool:
-        for stride in strides:
-            frames = np.unique(np.append(np.arange(0, len(states), stride), len(states) - 1))
-            _start_between(problem, states, damping, solved, frames, pool)
-            most = (
-                options.sweeps if stride == 1 else options.coarse_sweeps if not len(solved) else 2
-            )
-            level = Level(
-                problem, frames, states[frames], stride, damping[frames], measured, options, pool
-            )
-            status, history = level.solve(most)
-            if stride > 1 and not len(solved):
-                second_chances(level, most)
-            states[frames], damping[frames], solved = level.states, level.damping, frames
+    for stride in strides:
+        frames = np.unique(np.append(np.arange(0, len(states), stride), len(states) - 1))
+        own = start if options.corrects else None
+        _start_between(problem, states, damping, solved, frames, own)
+        most = options.sweeps if stride == 1 else options.coarse_sweeps if not len(solved) else 2
+        level = Level(problem, frames, states[frames], stride, damping[frames], measured, options)
+        status, history = level.solve(most)
+        if stride > 1 and not len(solved) and not options.corrects:
+            second_chances(level, most)
+        states[frames], damping[frames], solved = level.states, level.damping, frames
     return SequenceSolution(
         states=states,
         frame_costs=level.costs,
@@ -407,13 +408,12 @@ def solve_coarsest(
     stride = options.strides[0]
     most = options.coarse_sweeps
     damping = np.full(len(start), float(options.damping))
-    with ThreadPoolExecutor(problem.threads) as pool:
-        level = Level(problem, np.arange(len(start)), start, 1, damping, measured, options, pool)
-        level.links[: len(start)] /= stride**4
-        if gap != stride:
-            level.links[len(start) - 1] = 0.0
-        level.solve(most)
-        second_chances(level, most)
+    level = Level(problem, np.arange(len(start)), start, 1, damping, measured, options)
+    level.links[: len(start)] /= stride**4
+    if gap != stride:
+        level.links[len(start) - 1] = 0.0
+    level.solve(most)
+    second_chances(level, most)
     return level.states, level.damping
 
 
@@ -423,10 +423,13 @@ def _start_between(
     damping: np.ndarray,
     solved: np.ndarray,
     frames: np.ndarray,
-    pool: ThreadPoolExecutor,
+    start: np.ndarray | None,
 ) -> None:
     """Start each new frame between its solved neighbours, or from its own start where that costs
     less.
+
+    start: where this is given, the states that coarser levels corrected; each new frame starts from
+    its own, moved as far as its neighbours were.
     """
     new = np.setdiff1d(frames, solved)
     if len(solved) == 0 or len(new) == 0:
@@ -435,12 +438,19 @@ def _start_between(
     left = solved[after - 1]
     right = solved[after]
     share = (new - left) / (right - left)
-    middle = problem.between(states[left], states[right], share)
-    own_is_cheaper = evaluate(problem, new, states[new], pool) < evaluate(
-        problem, new, middle, pool
-    )
+    if start is None:
+        middle = problem.between(states[left], states[right], share)
+    else:
+        before, after = (_correction(problem, start[at], states[at]) for at in (left, right))
+        middle = start[new] + before + share[:, None] * (after - before)
+    own_is_cheaper = evaluate(problem, new, states[new]) < evaluate(problem, new, middle)
     states[new] = np.where(own_is_cheaper[:, None], states[new], middle)
     damping[new] = np.maximum(damping[left], damping[right])
+
+
+def _correction(problem: SequenceProblem, start: np.ndarray, solved: np.ndarray) -> np.ndarray:
+    """How far states were moved, in one chart."""
+    return problem.between(start, solved, np.ones(len(start))) - start
 
 
 def second_chances(level: Level, max_trials: int) -> None:

@@ -5,7 +5,7 @@ gaps, turns.
 import numpy as np
 import pytest
 import scipy.optimize
-from marker_scene import degrees_apart, fit, scene
+from marker_scene import DoubleSequence, degrees_apart, fit, scene
 
 from habitus.errors import HabitusError
 from habitus.fit.markers.marker_sequence import DenseSequence, KernelSequence
@@ -30,7 +30,8 @@ FOLDED = {"posedirs": True, "drivers": (4, 2)}
         (FOLDED | {"hinge_shapes": 0}, 4),
     ],
 )
-def test_compiled_and_dense_visits_agree(kind, betas):
+@pytest.mark.parametrize(("kernels", "digit"), [(DoubleSequence, 1e-13), (KernelSequence, 1e-6)])
+def test_compiled_and_dense_visits_agree(kind, betas, kernels, digit):
     """Costs, and with them gradients and matrices: a Gauss-Newton step of either leads to the same
     place.
     """
@@ -39,18 +40,18 @@ def test_compiled_and_dense_visits_agree(kind, betas):
     s.observed[3, 5] = np.nan
     weights = s.rng.uniform(size=s.observed.shape[:2])
     problem = (s.observed, weights, scales, s.prior, SequenceSettings(), betas)
-    fast = KernelSequence(s.rig, *problem)
+    fast = kernels(s.rig, *problem)
     plain = DenseSequence(s.marked, *problem)
     start = fast.pack(
         s.pose + 0.1, s.trans, 0.3 * s.rng.normal(size=(13, betas)) if betas else None
     )
     frames = np.arange(13)
-    np.testing.assert_allclose(fast.cost(frames, start), plain.cost(frames, start), rtol=1e-12)
+    np.testing.assert_allclose(fast.cost(frames, start), plain.cost(frames, start), rtol=10 * digit)
     options = SequenceOptions(strides=(1,), sweeps=2, damping=3.0)
     ends = [solve_sequence(each, start, slice(3, fast.pose_end), options) for each in (fast, plain)]
-    np.testing.assert_allclose(ends[0].states, ends[1].states, atol=1e-9)
-    np.testing.assert_allclose(ends[0].frame_costs, ends[1].frame_costs, rtol=1e-9)
-    np.testing.assert_allclose(ends[0].history, ends[1].history, rtol=1e-9)
+    np.testing.assert_allclose(ends[0].states, ends[1].states, atol=1e4 * digit)
+    np.testing.assert_allclose(ends[0].frame_costs, ends[1].frame_costs, rtol=1e4 * digit)
+    np.testing.assert_allclose(ends[0].history, ends[1].history, rtol=1e4 * digit)
 
 
 @pytest.mark.parametrize("posedirs", [False, True])
@@ -88,8 +89,8 @@ def test_frames_cost_what_the_terms_sum_to():
     s = scene()
     result = fit(s, soft_tissue=np.zeros((12, 4)))
     own = sum(cost for name, cost in result.costs.items() if name != "acceleration")
-    np.testing.assert_allclose(result.frame_costs.sum(), own, rtol=1e-9)
-    np.testing.assert_allclose(result.history[-1], sum(result.costs.values()), rtol=1e-9)
+    np.testing.assert_allclose(result.frame_costs.sum(), own, rtol=1e-6)
+    np.testing.assert_allclose(result.history[-1], sum(result.costs.values()), rtol=1e-6)
 
 
 def test_planted_truth_is_found():

@@ -16,7 +16,6 @@ from habitus.fit.cameras.sequence_kernels import visit
 from habitus.fit.cameras.settings import CameraSettings
 from habitus.fit.markers.sequence_kernels import LevelArrays, nearest_equivalent, unwrap
 from habitus.kernels.simd import LANES, lane_array
-from habitus.kernels.threads import num_threads
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.keypoints import ShapedKeypoints
 from habitus.residuals.keypoint_kernels import (
@@ -80,12 +79,12 @@ class KeypointSequence:
     (3 J).
     """
 
+    parallel = True
     lanes = LANES
 
     def __init__(self, data: KeypointData, links: Float[np.ndarray, " N"]):
         self.data = data
         self.links = links
-        self.threads = num_threads()
         self.offsets = KeypointOffsets.of(len(data.parents), len(data.bone), len(data.focal))
         self._workspaces: list[np.ndarray] = []
 

@@ -22,7 +22,6 @@ from habitus.fit.markers.sequence_kernels import (
 )
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.kernels.simd import LANES, lane_array
-from habitus.kernels.threads import num_threads
 from habitus.observe.marker_kernels import predict_frames
 from habitus.observe.marker_prediction import BATCH, BodyMarkers, MarkedBody, predict
 from habitus.observe.marker_rig import (
@@ -34,7 +33,7 @@ from habitus.observe.marker_rig import (
     simd_rig,
     workspace_offsets,
 )
-from habitus.solve.sequence import DenseVisits, LevelFrames
+from habitus.solve.sequence import NOISE, NOISE_32, DenseVisits, LevelFrames
 
 
 class MarkerSequence:
@@ -45,7 +44,7 @@ class MarkerSequence:
     loss (m), None for squares.
     """
 
-    threads = 1
+    parallel = False
     lanes = 1
 
     def __init__(
@@ -149,24 +148,46 @@ class _ByIdentity:
 
 
 @lru_cache(maxsize=2)
-def _laid_out(same: _ByIdentity, betas: int) -> tuple[SimdRig, Slots, Offsets]:
+def _laid_out(
+    same: _ByIdentity, betas: int, dtype: type
+) -> tuple[SimdRig, Slots, Offsets, tuple[SimdRig, Offsets]]:
     """The kernels' layout of a rig; cached, since a fit asks for it repeatedly and it takes as
     long as many frames.
     """
     rig = simd_rig(same.rig, betas)
     slots = marker_slots(rig)
-    return rig, slots, workspace_offsets(rig, slots)
+    exact = rig, workspace_offsets(rig)
+    return _as(dtype, rig), _as(dtype, slots), workspace_offsets(rig, slots), exact
+
+
+def _as(dtype: type, arrays):
+    """The same arrays, those of float64 in another type."""
+    return arrays._make(a.astype(dtype) if a.dtype == float else a for a in arrays)
 
 
 class KernelSequence(MarkerSequence):
-    """The problem by the compiled kernels, for what a `MarkerRig` covers."""
+    """The problem by the compiled kernels, for what a `MarkerRig` covers.
+
+    They compute in ``dtype``: places count from the body's own, so that float32 holds them to a
+    micrometre, and states are sums of its steps in float64.
+    """
+
+    parallel = True
+    dtype: type = np.float32
 
     def __init__(self, marked: MarkerRig, *problem):
         super().__init__(marked, *problem)
-        self.threads = num_threads()
-        self.lanes = LANES
-        self.simd_rig, self.slots, self.offsets = _laid_out(_ByIdentity(marked), self.betas)
+        self.lanes = LANES * 8 // np.dtype(self.dtype).itemsize
+        layout = _laid_out(_ByIdentity(marked), self.betas, self.dtype)
+        self.simd_rig, self.slots, self.offsets, self._prediction = layout
         self._workspaces: list[np.ndarray] = []
+
+    def markers(self, states):
+        """Predicted markers (F, M, 3) of states (F, N)."""
+        out = np.empty((len(states), self.marked.num_markers, 3))
+        rig, offsets = self._prediction
+        predict_frames(rig, offsets, lane_array(offsets.end), np.ascontiguousarray(states), out)
+        return out
 
     def cost(self, frames, states):
         """Own cost of each frame (F,)."""
@@ -181,14 +202,6 @@ class KernelSequence(MarkerSequence):
             np.ascontiguousarray(states),
             out,
         )
-        self._workspaces.append(workspace)
-        return out
-
-    def markers(self, states):
-        """Predicted markers (F, M, 3) of states (F, N)."""
-        out = np.empty((len(states), self.marked.num_markers, 3))
-        workspace = self._workspace()
-        predict_frames(self.simd_rig, self.offsets, workspace, np.ascontiguousarray(states), out)
         self._workspaces.append(workspace)
         return out
 
@@ -207,7 +220,9 @@ class KernelSequence(MarkerSequence):
     def _visit(self, level: LevelArrays, block: np.ndarray, times: int, tolerance: float) -> None:
         workspace = self._workspace()
         fixed = (self.simd_rig, self.slots, self.offsets)
-        visit(*fixed, workspace, self.data, level, block, self.pose_end, times, tolerance)
+        rounding = NOISE if self.dtype is np.float64 else NOISE_32
+        how = (self.pose_end, times, tolerance, rounding)
+        visit(*fixed, workspace, self.data, level, block, *how)
         self._workspaces.append(workspace)
 
     def _workspace(self) -> np.ndarray:
@@ -215,7 +230,7 @@ class KernelSequence(MarkerSequence):
         try:
             return self._workspaces.pop()
         except IndexError:
-            return lane_array(self.offsets.end)
+            return lane_array(self.offsets.end, dtype=self.dtype)
 
 
 class DenseSequence(DenseVisits, MarkerSequence):

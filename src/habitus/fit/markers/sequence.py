@@ -225,7 +225,7 @@ class _Stage:
         coarse = None
         if self.settings.acceleration == 0.0:
             options = replace(options, strides=(1,), relaxation=1.0)
-        if options.strides[0] > 1:
+        if options.strides[0] > 1 and not options.corrects:
             coarse = self._coarse(options)
         for window in parts:
             problem, start = self.problem(window.solved)

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.kernels.jit import jit, jit_inline
-from habitus.kernels.simd import LANES, load, spread, store, where_less
+from habitus.kernels.simd import load, spread, store, where_less
 from habitus.kernels.simd_cholesky import factor, solve_factored
 from habitus.kernels.simd_linalg import block_row
 from habitus.residuals.marker_kernels import frame_cost, linearize
-from habitus.solve.sequence import FLOOR, NOISE
+from habitus.solve.sequence import FLOOR
 
 
 class MarkerData(NamedTuple):
@@ -48,21 +48,26 @@ class LevelArrays(NamedTuple):
 
 
 @jit
-def visit(rig, slots, offsets, workspace, data, level, block, measured_end, times, tolerance):
-    """Damped Gauss-Newton steps of the frames `block` (indices into the level) in groups of LANES.
+def visit(
+    rig, slots, offsets, workspace, data, level, block, measured_end, times, tolerance, rounding
+):
+    """Damped Gauss-Newton steps of the frames `block` (indices into the level) in groups of as many
+    as the workspace has lanes.
 
     Up to so many `times` a group, until its first frame moves by less than `tolerance`. Where a
     group is not full, copies of the last frame fill the other lanes.
     """
-    group = np.empty(LANES, dtype=np.int64)
-    for first in range(0, len(block), LANES):
-        count = min(LANES, len(block) - first)
-        for k in range(LANES):
+    lanes = workspace.shape[1]
+    group = np.empty(lanes, dtype=np.int64)
+    for first in range(0, len(block), lanes):
+        count = min(lanes, len(block) - first)
+        for k in range(lanes):
             group[k] = block[min(first + k, len(block) - 1)]
         for _ in range(times):
             gather(rig, offsets, workspace, data, level.frames, level.states, group)
             gather_coupling(offsets, workspace, level, group)
-            visit_group(rig, slots, offsets, workspace, data, level, group[:count], measured_end)
+            own = group[:count]
+            visit_group(rig, slots, offsets, workspace, data, level, own, measured_end, rounding)
             if level.moved[group[0]] < tolerance:
                 break
 
@@ -70,34 +75,38 @@ def visit(rig, slots, offsets, workspace, data, level, block, measured_end, time
 @jit
 def costs(rig, offsets, workspace, data, frames, states, out):
     """f of frames in their states (F, N), into out (F,)."""
-    group = np.empty(LANES, dtype=np.int64)
-    for first in range(0, len(frames), LANES):
-        for k in range(LANES):
+    lanes = workspace.shape[1]
+    group = np.empty(lanes, dtype=np.int64)
+    for first in range(0, len(frames), lanes):
+        for k in range(lanes):
             group[k] = min(first + k, len(frames) - 1)
         gather(rig, offsets, workspace, data, frames, states, group)
         store(workspace, offsets.step, frame_cost(rig, offsets, workspace, data, offsets.state))
-        for k in range(LANES):
+        for k in range(lanes):
             out[group[k]] = workspace[offsets.step, k]
 
 
 @jit_inline
 def gather(rig, offsets, workspace, data, frames, states, group):
-    """Bring states and observations of a group to its lanes."""
-    for k in range(LANES):
+    """Bring states and observations of a group to its lanes; places count from the body's, so that
+    float32 holds them wherever it stands.
+    """
+    for k in range(workspace.shape[1]):
         t = frames[group[k]]
         for n in range(states.shape[1]):
-            workspace[offsets.state + n, k] = states[group[k], n]
+            workspace[offsets.state + n, k] = 0.0 if n < 3 else states[group[k], n]
         for i in range(len(rig.triangles)):
             workspace[offsets.weight + i, k] = data.weights[t, i]
             for c in range(3):
-                workspace[offsets.observed + 3 * i + c, k] = data.observed[t, i, c]
+                away = data.observed[t, i, c] - states[group[k], c]
+                workspace[offsets.observed + 3 * i + c, k] = away
 
 
 @jit_inline
 def gather_coupling(offsets, workspace, level, group):
     """Gradient and curvature of the second differences that each frame is part of."""
     last = len(level.states) - 1
-    for k in range(LANES):
+    for k in range(workspace.shape[1]):
         f = group[k]
         a = level.states[max(f - 2, 0)]
         b = level.states[max(f - 1, 0)]
@@ -114,12 +123,12 @@ def gather_coupling(offsets, workspace, level, group):
 
 
 @jit_inline
-def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end):
+def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end, rounding):
     """Linearise, step, compare and write back."""
     cost = linearize(rig, slots, offsets, workspace, data)
     change, predicted, moved = propose(offsets, workspace, level, group, measured_end)
     trial = frame_cost(rig, offsets, workspace, data, offsets.trial)
-    compare(offsets, workspace, level, group, cost, trial, change, predicted, moved)
+    compare(offsets, workspace, level, group, cost, trial, change, predicted, moved, rounding)
 
 
 @jit_inline
@@ -129,7 +138,7 @@ def propose(offsets, workspace, level, group, measured_end):
     the mean square by which rows 3 to ``measured_end`` would move.
     """
     unknowns = 3 * offsets.blocks
-    for k in range(LANES):
+    for k in range(workspace.shape[1]):
         workspace[offsets.trial, k] = level.damping[group[min(k, len(group) - 1)]]
         workspace[offsets.trial + 1, k] = level.relaxations[group[min(k, len(group) - 1)]]
     damping = load(workspace, offsets.trial)
@@ -146,11 +155,11 @@ def propose(offsets, workspace, level, group, measured_end):
         )
     factor(workspace, offsets.matrix, offsets.blocks)
     solve_factored(workspace, offsets.matrix, offsets.blocks, offsets.step)
-    change = spread(0.0)
-    predicted = spread(0.0)
-    moved = spread(0.0)
-    along = spread(0.0)
-    spent = spread(0.0)
+    change = spread(workspace, 0.0)
+    predicted = spread(workspace, 0.0)
+    moved = spread(workspace, 0.0)
+    along = spread(workspace, 0.0)
+    spent = spread(workspace, 0.0)
     for n in range(unknowns):
         newton = load(workspace, offsets.step + n)
         gradient = load(workspace, offsets.gradient + n)
@@ -172,7 +181,7 @@ def propose(offsets, workspace, level, group, measured_end):
 
 
 @jit_inline
-def compare(offsets, workspace, level, group, cost, trial, change, predicted, moved):
+def compare(offsets, workspace, level, group, cost, trial, change, predicted, moved, rounding):
     """Take the steps whose own cost ``trial``, instead of ``cost``, lowers the total; write back
     the rest.
     """
@@ -181,17 +190,17 @@ def compare(offsets, workspace, level, group, cost, trial, change, predicted, mo
     store(workspace, offsets.gradient + 2, moved)
     store(workspace, offsets.gradient + 3, trial)
     store(workspace, offsets.gradient + 4, cost)
-    write_back(offsets, workspace, level, group)
+    write_back(offsets, workspace, level, group, rounding)
 
 
 @jit_inline
-def write_back(offsets, workspace, level, group):
+def write_back(offsets, workspace, level, group, rounding):
     """Take the steps that lower the total cost; set costs, damping and how far each frame moved."""
     for k in range(len(group)):
         f = group[k]
         change = workspace[offsets.gradient, k]
         predicted = workspace[offsets.gradient + 1, k]
-        taken = change < NOISE * workspace[offsets.gradient + 4, k]
+        taken = change < rounding * workspace[offsets.gradient + 4, k]
         level.cost_decrease[f] = -change if taken else 0.0
         level.costs[f] = (
             workspace[offsets.gradient + 3, k] if taken else workspace[offsets.gradient + 4, k]
@@ -201,7 +210,8 @@ def write_back(offsets, workspace, level, group):
         damping = level.damping[f]
         if taken:
             for n in range(level.states.shape[1]):
-                level.states[f, n] = workspace[offsets.trial + n, k]
+                step = workspace[offsets.trial + n, k] - workspace[offsets.state + n, k]
+                level.states[f, n] += step
             ratio = change / predicted
             factor_down = 0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0
             level.damping[f] = damping * factor_down if damping > 1e-2 else 0.0

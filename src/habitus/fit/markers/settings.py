@@ -397,8 +397,8 @@ class SequenceSettings:
     pose: float = PoseWeights.pose
     """Of E_theta."""
     acceleration: float = PoseWeights.acceleration
-    """Of E_u, per rad^2. 0 for frames that have nothing to do with each other: it also switches off
-    the other two accelerations, the solver's coarse levels and its over-relaxation."""
+    """Of E_u, per rad^2. 0 for independent frames: it also switches off the other two
+    accelerations, the solver's coarse levels and its over-relaxation."""
     trans_acceleration: float = 10.0
     """Per m^2: carries trans over frames without markers, and is too weak to matter elsewhere. Not
     from the paper."""
@@ -413,21 +413,18 @@ class SequenceSettings:
 def sequence_settings(
     settings: MoshSettings, warm: bool = False, hopeless: bool = False
 ) -> SequenceSettings:
-    """The paper's weights in metres; ``warm`` starts are solved at the finest level at once, with
-    little damping; ``hopeless`` ones in a few sweeps.
+    """The paper's weights in metres; ``warm`` starts are corrected, with little damping;
+    ``hopeless`` ones are solved in a few sweeps.
     """
     weights = settings.pose
-    options = SequenceOptions(strides=(1,), damping=1.0) if warm else SequenceOptions()
+    options = SequenceOptions()
+    if warm:
+        options = SequenceOptions((4, 1), coarse_sweeps=4, damping=1.0, corrects=True)
     if hopeless:
         few = settings.hopeless_sweeps
         options = replace(options, coarse_sweeps=few, sweeps=few)
-    return SequenceSettings(
-        per_m2(weights.data),
-        weights.pose,
-        weights.acceleration,
-        soft_tissue=weights.soft_tissue,
-        options=options,
-    )
+    own = (per_m2(weights.data), weights.pose, weights.acceleration)
+    return SequenceSettings(*own, soft_tissue=weights.soft_tissue, options=options)
 
 
 def settings_from(values: Mapping[str, Any]) -> MoshSettings:
