@@ -215,9 +215,9 @@ def rest_slopes(rig, offsets, workspace, d, turned):
     z = spread3(workspace, 0.0, 0.0, 0.0)
     betas = offsets.state + 3 + 3 * len(rig.parents)
     if d >= 0:
-        x = slope(workspace, rig.posedirs, d, 0, turned)
-        y = slope(workspace, rig.posedirs, d, 1, turned)
-        z = slope(workspace, rig.posedirs, d, 2, turned)
+        x = slope(rig.posedirs[d, 0], turned)
+        y = slope(rig.posedirs[d, 1], turned)
+        z = slope(rig.posedirs[d, 2], turned)
         for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
             h = rig.fold_channel[k]
             fold = spread3(workspace, rig.folds[k, 0], rig.folds[k, 1], rig.folds[k, 2])
@@ -233,25 +233,15 @@ def rest_slopes(rig, offsets, workspace, d, turned):
 
 
 @jit_inline
-def slope(workspace, posedirs, d, k, turned):
-    """The same of one coordinate."""
-    total = plus_crossed(
-        spread3(workspace, 0.0, 0.0, 0.0), (turned[0], turned[3], turned[6]), posedirs, d, k, 0
-    )
-    total = plus_crossed(total, (turned[1], turned[4], turned[7]), posedirs, d, k, 1)
-    return plus_crossed(total, (turned[2], turned[5], turned[8]), posedirs, d, k, 2)
+def slope(p, r):
+    """The same of one coordinate, whose 3 x 3 numbers are p: sum_c r_c x p_c over their columns.
 
-
-@jit_inline
-def plus_crossed(total, v, posedirs, d, k, c):
-    """total + v x (column c of a pose blend shape's 3 x 3 numbers for coordinate k)."""
-    x = posedirs[d, k, c]
-    y = posedirs[d, k, 3 + c]
-    z = posedirs[d, k, 6 + c]
+    Written out, as each small function that is called takes as long to compile as this.
+    """
     return (
-        total[0] + v[1] * z - v[2] * y,
-        total[1] + v[2] * x - v[0] * z,
-        total[2] + v[0] * y - v[1] * x,
+        (r[3] * p[6] - r[6] * p[3]) + (r[4] * p[7] - r[7] * p[4]) + (r[5] * p[8] - r[8] * p[5]),
+        (r[6] * p[0] - r[0] * p[6]) + (r[7] * p[1] - r[1] * p[7]) + (r[8] * p[2] - r[2] * p[8]),
+        (r[0] * p[3] - r[3] * p[0]) + (r[1] * p[4] - r[4] * p[1]) + (r[2] * p[5] - r[5] * p[2]),
     )
 
 
@@ -261,7 +251,7 @@ def write_hinge_turns(rig, offsets, workspace):
     for h in range(len(rig.hinge_joint)):
         turned = load9(workspace, offsets.local + 9 * rig.hinge_joint[h])
         by = load(workspace, offsets.fold + 5 * h + 1)
-        turns = scale3(by, slope(workspace, rig.hinge_rows, h, 0, turned))
+        turns = scale3(by, slope(rig.hinge_rows[h], turned))
         store3(workspace, offsets.fold + 5 * h + 2, turns)
 
 

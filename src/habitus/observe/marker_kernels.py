@@ -102,7 +102,7 @@ def weigh_hinges(rig, offsets, workspace):
         local = offsets.local + 9 * rig.hinge_joint[h]
         x = spread(workspace, -rig.hinge_bias[h])
         for e in range(9):
-            x = x + rig.hinge_rows[h, 0, e] * (
+            x = x + rig.hinge_rows[h, e] * (
                 load(workspace, local + e) - (1.0 if e % 4 == 0 else 0.0)
             )
         x = where_less(x, 0.0, 0.0, x)

@@ -197,7 +197,7 @@ class SimdRig(NamedTuple):
     folds: Float[np.ndarray, "E 3"]
     fold_shapes: Float[np.ndarray, "E 3 S"]
     hinge_joint: Int[np.ndarray, " C"]
-    hinge_rows: Float[np.ndarray, "C 1 9"]
+    hinge_rows: Float[np.ndarray, "C 9"]
     hinge_bias: Float[np.ndarray, " C"]
     triangles: Int[np.ndarray, "M 3"]
     coefficients: Float[np.ndarray, "M 3"]
@@ -278,7 +278,7 @@ def simd_rig(rig: MarkerRig, betas: int) -> SimdRig:
         influence_weight=rig.weights[used],
         **_posedirs(rig, betas),
         hinge_joint=rig.hinge_joint,
-        hinge_rows=rig.hinge_rows[:, None],
+        hinge_rows=rig.hinge_rows,
         hinge_bias=rig.hinge_bias,
         triangles=rig.triangles,
         coefficients=rig.coefficients,
@@ -356,10 +356,10 @@ def _slots_of(
     none = np.zeros(0, dtype=np.int64)
     slots: list[tuple[int, bool, list, list]] = []
     for j in np.flatnonzero(moving):
-        parts = [run.start + np.flatnonzero(each[j]) for run, each in zip(runs, under, strict=True)]
-        slots.append(
-            (1 + int(j), bool(whole[j]), [none] * 3 if whole[j] else parts, list(features[:, j]))
-        )
+        parts = [none] * 3
+        if not whole[j]:
+            parts = [r.start + np.flatnonzero(u[j]) for r, u in zip(runs, under, strict=True)]
+        slots.append((1 + int(j), bool(whole[j]), parts, list(features[:, j])))
     return slots + [
         (block, False, [none] * 3, [-1] * 3) for block in range(1 + len(rig.parents), blocks)
     ]

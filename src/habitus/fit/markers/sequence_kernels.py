@@ -67,7 +67,10 @@ def visit(
             gather(rig, offsets, workspace, data, level.frames, level.states, group)
             gather_coupling(offsets, workspace, level, group)
             own = group[:count]
-            visit_group(rig, slots, offsets, workspace, data, level, own, measured_end, rounding)
+            cost = linearize(rig, slots, offsets, workspace, data)
+            change, predicted, moved = propose(offsets, workspace, level, own, measured_end)
+            trial = frame_cost(rig, offsets, workspace, data, offsets.trial)
+            compare(offsets, workspace, level, own, cost, trial, change, predicted, moved, rounding)
             if level.moved[group[0]] < tolerance:
                 break
 
@@ -120,15 +123,6 @@ def gather_coupling(offsets, workspace, level, group):
             pull = x[n] * (c[n] - 2.0 * b[n] + a[n]) - 2.0 * y[n] * (d[n] - 2.0 * c[n] + b[n])
             workspace[offsets.pull + n, k] = pull + z[n] * (e[n] - 2.0 * d[n] + c[n])
             workspace[offsets.stiffness + n, k] = x[n] + 4.0 * y[n] + z[n]
-
-
-@jit_inline
-def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end, rounding):
-    """Linearise, step, compare and write back."""
-    cost = linearize(rig, slots, offsets, workspace, data)
-    change, predicted, moved = propose(offsets, workspace, level, group, measured_end)
-    trial = frame_cost(rig, offsets, workspace, data, offsets.trial)
-    compare(offsets, workspace, level, group, cost, trial, change, predicted, moved, rounding)
 
 
 @jit_inline
