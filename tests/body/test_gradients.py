@@ -65,6 +65,20 @@ def test_gradients_are_those_of_the_readable_form(name, batch):
         assert (own - other).abs().max() < 1e-11 * other.abs().max()
 
 
+@pytest.mark.parametrize("batch", [4, 8, 17, 66])
+@pytest.mark.parametrize("dense", [False, True])
+def test_bodies_side_by_side_fill_the_registers_or_not(dense, batch):
+    """Vertices and gradients, for numbers of bodies and of vertices that no register divides."""
+    body = synthetic_body("smpl", 301) if dense else BODIES["sparse blend shapes and hinges"]()
+    value = weighted(body, vertices=range(0, body.num_vertices, 1 if dense else 21))
+    state = some_state(body, batch)
+    compiled, readable = both(value, state)
+    single = both(value, [part.float() for part in state])[0]
+    for own, other, rough in zip(compiled, readable, single, strict=True):
+        assert (own - other).abs().max() < 1e-11 * other.abs().max()
+        assert (rough - other).abs().max() < 1e-4 * other.abs().max()
+
+
 def test_some_vertices_faces_and_single_precision():
     body = BODIES["fingers and face"]()
     units = {"jawOpen": 0.7, "eyeBlinkLeft": 0.4}

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from habitus.body.body_arrays import VertexRows, add_blend_shapes
-from habitus.body.kernels import joint_motions, posed_vertices
+from habitus.body.kernels import joint_motions, posed_vertices, rows_kept
 from habitus.body.kernels_vjp import joint_motions_vjp, posed_vertices_vjp
 from habitus.body.skinning import skin, skinning_motions, world_motions
 from habitus.rotations import matrix_from_rotvec
@@ -76,7 +76,7 @@ class _PosedVertices(torch.autograd.Function):
         parts = [shape.numpy()] if rows.local is not None else [shape.numpy(), features.numpy()]
         coefficients = np.ascontiguousarray(np.concatenate(parts, axis=-1))
         local = None if rows.local is None else (rows.local, features.contiguous().numpy())
-        kept = np.empty((len(shape), len(base)), base.dtype)
+        kept = np.empty((rows_kept(len(shape), base.dtype), len(base)), base.dtype)
         vertices = posed_vertices(
             base, coefficients, bases, motions.numpy(), trans.numpy(), index, value, "lbs", local,
             kept,

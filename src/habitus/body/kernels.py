@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from habitus.body.dual_kernels import dual_quaternions, skin_dual
 from habitus.kernels.jit import jit_inline, jit_noalloc
+from habitus.kernels.simd import LANES, load_at, num_lanes, spread, store_at
 from habitus.kernels.threads import one_blas_thread, run_chunks
 
 PER_JOINT = 9
@@ -48,10 +49,10 @@ class LocalShapes:
         side_by_side: bool,
     ) -> None:
         """Add what the features of b bodies move the vertices begin..end by; ``side_by_side``: of
-        rest.T's memory.
+        rest.T's memory, with as many bodies as fill the lanes (`full_lanes`).
         """
         if side_by_side:
-            lines = np.ascontiguousarray(features.T)
+            lines = beside(features.T, rest.shape[0])
             _add_side_by_side(rest.T, lines, self.start, self.driver, self.value, begin, end)
         else:
             _add(rest, features, self.start, self.driver, self.value, begin, end)
@@ -104,36 +105,24 @@ def _add(rest, features, start, driver, value, begin, end):
 
 @jit_noalloc
 def _add_side_by_side(rest, features, start, driver, value, begin, end):
-    """Vertex by vertex for all bodies, three features at a time, which registers have room for."""
+    """Vertex by vertex, as many bodies at once as there are lanes."""
     tile = end - begin
-    bodies = rest.shape[1]
     for i in range(begin, end):
-        x = rest[i - begin]
-        y = rest[i - begin + tile]
-        z = rest[i - begin + 2 * tile]
-        for g in range(start[i], start[i + 1]):
-            first = 9 * driver[g]
-            row = value[g]
-            for e in range(0, 9, 3):
-                a = features[first + e]
-                b = features[first + e + 1]
-                c = features[first + e + 2]
-                ax = row[3 * e]
-                ay = row[3 * e + 1]
-                az = row[3 * e + 2]
-                bx = row[3 * e + 3]
-                by = row[3 * e + 4]
-                bz = row[3 * e + 5]
-                cx = row[3 * e + 6]
-                cy = row[3 * e + 7]
-                cz = row[3 * e + 8]
-                for s in range(bodies):
-                    f = a[s]
-                    h = b[s]
-                    k = c[s]
-                    x[s] += ax * f + bx * h + cx * k
-                    y[s] += ay * f + by * h + cy * k
-                    z[s] += az * f + bz * h + cz * k
+        row = i - begin
+        for s in range(0, rest.shape[1], LANES * 8 // rest.itemsize):
+            x = load_at(rest, row, s)
+            y = load_at(rest, row + tile, s)
+            z = load_at(rest, row + 2 * tile, s)
+            for g in range(start[i], start[i + 1]):
+                shape = value[g]
+                for e in range(9):
+                    f = load_at(features, 9 * driver[g] + e, s)
+                    x = x + f * shape[3 * e]
+                    y = y + f * shape[3 * e + 1]
+                    z = z + f * shape[3 * e + 2]
+            store_at(rest, row, s, x)
+            store_at(rest, row + tile, s, y)
+            store_at(rest, row + 2 * tile, s, z)
 
 
 FEW = 3
@@ -177,14 +166,15 @@ def posed_vertices(
     value: Float[np.ndarray, "N I"],
     skinning: str,
     local: tuple[LocalShapes, Float[np.ndarray, "b F"]] | None = None,
-    kept: Float[np.ndarray, "b 3N"] | None = None,
+    kept: Float[np.ndarray, "B 3N"] | None = None,
 ) -> Float[np.ndarray, "b N 3"]:
     """Vertices (m) of b bodies: blend shapes added to a surface at rest that all share, skinned,
     moved.
 
     Surfaces are rows of x, then y, then z. All floating arrays have one dtype and are contiguous.
     ``local``: further blend shapes and the features that drive them. ``kept``: memory for the
-    surfaces at rest, which `habitus.body.kernels_vjp` needs (`rest_of_tile` finds them there).
+    surfaces at rest, B = `rows_kept` rows, which `habitus.body.kernels_vjp` needs
+    (`rest_of_tile` finds them there).
     """
     base, coefficients, rows, trans, index, value = read_only(
         base, coefficients, rows, trans, index, value
@@ -202,7 +192,8 @@ def posed_vertices(
         dual_quaternions(motions, carriers)
 
     def some_tiles(_: int, begin: int, end: int) -> None:
-        room = np.empty(min(bodies, CHUNK) * 3 * min(VERTICES, count), out.dtype)
+        most = full_lanes(min(bodies, CHUNK), out.dtype)
+        room = np.empty(most * 3 * min(VERTICES, count), out.dtype)
         for first in range(begin * VERTICES, min(end * VERTICES, count), VERTICES):
             last = min(first + VERTICES, count)
             for body in range(0, bodies, CHUNK):
@@ -211,7 +202,7 @@ def posed_vertices(
                 if local is not None:
                     local[0].add(rest, local[1][few], first, last, side_by_side=bodies > FEW)
                 if kept is not None:
-                    rest_of_tile(kept, few, first, last)[:] = rest
+                    rest_of_tile(kept, slice(body, body + len(rest)), first, last)[:] = rest
                 skin(rest, carriers[few], trans[few], index, value, out[few], first, last)
 
     with one_blas_thread():
@@ -219,8 +210,28 @@ def posed_vertices(
     return out
 
 
+def full_lanes(bodies: int, dtype: np.dtype) -> int:
+    """So many bodies, or a few more that fill the lanes."""
+    lanes = num_lanes(dtype)
+    return -(-bodies // lanes) * lanes
+
+
+def rows_kept(bodies: int, dtype: np.dtype) -> int:
+    """Rows of the memory ``kept`` of `posed_vertices`: many bodies lie side by side and fill the
+    lanes.
+    """
+    return bodies if bodies <= FEW else full_lanes(bodies, dtype)
+
+
+def beside(columns: np.ndarray, width: int) -> np.ndarray:
+    """Columns (..., b) in C order, followed by zeros up to so many."""
+    out = np.zeros((*columns.shape[:-1], width), columns.dtype)
+    out[..., : columns.shape[-1]] = columns
+    return out
+
+
 def rest_of_tile(
-    kept: Float[np.ndarray, "b 3N"], few: slice, first: int, last: int
+    kept: Float[np.ndarray, "B 3N"], few: slice, first: int, last: int
 ) -> Float[np.ndarray, "c 3n"]:
     """Where the vertices first..last of some bodies lie at rest, in one piece of ``kept``; many
     bodies lie side by side.
@@ -240,18 +251,54 @@ def _add_rows(base, coefficients, rows, room, begin: int, end: int) -> Float[np.
 def _add_products(
     base, coefficients, rows, room, begin: int, end: int
 ) -> Float[np.ndarray, "b 3n"]:
-    """As `_add_rows`, by matrix products, which make more of each row that is read; bodies lie side
-    by side.
-    """
-    bodies = len(coefficients)
-    count = len(base) // 3
+    """As `_add_rows`; bodies lie side by side, as many as fill the lanes."""
+    width = full_lanes(len(coefficients), rows.dtype)
+    rest = room[: width * 3 * (end - begin)].reshape(-1, width)
+    _add_products_side_by_side(base, beside(coefficients.T, width), rows, rest, begin, end)
+    return rest.T
+
+
+@jit_noalloc
+def _add_products_side_by_side(base, weights, rows, rest, begin, end):
+    """Eight coordinates at a time, whose sums stay in registers while all rows are read."""
     tile = end - begin
-    rest = room[: bodies * 3 * tile].reshape(3, tile, bodies)
     for axis in range(3):
-        columns = slice(axis * count + begin, axis * count + end)
-        np.matmul(rows[:, columns].T, coefficients.T, out=rest[axis])
-        rest[axis] += base[columns, None]
-    return rest.reshape(3 * tile, bodies).T
+        first = axis * (len(base) // 3) + begin
+        for i in range(0, tile - tile % 8, 8):
+            for s in range(0, rest.shape[1], LANES * 8 // rest.itemsize):
+                sums = spread8(rest, base, first + i)
+                for k in range(len(rows)):
+                    sums = plus8(sums, load_at(weights, k, s), rows[k], first + i)
+                for e in range(8):
+                    store_at(rest, axis * tile + i + e, s, sums[e])
+        for i in range(tile - tile % 8, tile):
+            for s in range(0, rest.shape[1], LANES * 8 // rest.itemsize):
+                total = spread(rest, base[first + i])
+                for k in range(len(rows)):
+                    total = total + load_at(weights, k, s) * rows[k, first + i]
+                store_at(rest, axis * tile + i, s, total)
+
+
+@jit_inline
+def spread8(rest, numbers, first):
+    """Eight numbers, each in every lane."""
+    return (
+        spread(rest, numbers[first]), spread(rest, numbers[first + 1]),
+        spread(rest, numbers[first + 2]), spread(rest, numbers[first + 3]),
+        spread(rest, numbers[first + 4]), spread(rest, numbers[first + 5]),
+        spread(rest, numbers[first + 6]), spread(rest, numbers[first + 7]),
+    )  # fmt: skip
+
+
+@jit_inline
+def plus8(sums, x, numbers, first):
+    """Eight sums, plus x times a number each."""
+    return (
+        sums[0] + x * numbers[first], sums[1] + x * numbers[first + 1],
+        sums[2] + x * numbers[first + 2], sums[3] + x * numbers[first + 3],
+        sums[4] + x * numbers[first + 4], sums[5] + x * numbers[first + 5],
+        sums[6] + x * numbers[first + 6], sums[7] + x * numbers[first + 7],
+    )  # fmt: skip
 
 
 def read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
@@ -376,39 +423,42 @@ def _skin_linear(rest, motions, trans, index, value, out, begin, end):
 
 def _skin_linear_many(rest, motions, trans, index, value, out, begin: int, end: int) -> None:
     """As `_skin_linear`, vertex by vertex with the bodies side by side; ``rest`` is overwritten."""
-    moves = np.ascontiguousarray(motions.transpose(1, 2, 0))
-    places = np.ascontiguousarray(trans.T)
     rest = rest.T
-    _skin_side_by_side(rest, moves, places, np.empty_like(moves[0]), index, value, begin, end)
+    moves = beside(motions.transpose(1, 2, 0), rest.shape[1]).reshape(-1, rest.shape[1])
+    places = beside(trans.T, rest.shape[1])
+    _skin_side_by_side(rest, moves, places, index, value, begin, end)
     _write_bodies(rest, out, begin, end)
 
 
 @jit_noalloc
-def _skin_side_by_side(rest, moves, places, blended, index, value, begin, end):
+def _skin_side_by_side(rest, moves, places, index, value, begin, end):
+    """``moves``: 12 rows a joint, as many bodies at once as there are lanes."""
     tile = end - begin
-    bodies = rest.shape[1]
     for i in range(begin, end):
-        blended[:] = 0.0
-        for s in range(bodies):
-            blended[3, s], blended[7, s], blended[11, s] = places[0, s], places[1, s], places[2, s]
-        for k in range(index.shape[1]):
-            share = value[i, k]
-            if share == 0.0:
-                continue
-            m = moves[index[i, k]]
-            for e in range(12):
-                for s in range(bodies):
-                    blended[e, s] += share * m[e, s]
-        x = rest[i - begin]
-        y = rest[i - begin + tile]
-        z = rest[i - begin + 2 * tile]
-        for s in range(bodies):
-            a = x[s]
-            b = y[s]
-            c = z[s]
-            x[s] = blended[0, s] * a + blended[1, s] * b + blended[2, s] * c + blended[3, s]
-            y[s] = blended[4, s] * a + blended[5, s] * b + blended[6, s] * c + blended[7, s]
-            z[s] = blended[8, s] * a + blended[9, s] * b + blended[10, s] * c + blended[11, s]
+        row = i - begin
+        for s in range(0, rest.shape[1], LANES * 8 // rest.itemsize):
+            x = load_at(rest, row, s)
+            y = load_at(rest, row + tile, s)
+            z = load_at(rest, row + 2 * tile, s)
+            u = load_at(places, 0, s)
+            v = load_at(places, 1, s)
+            w = load_at(places, 2, s)
+            for k in range(index.shape[1]):
+                share = value[i, k]
+                if share != 0.0:
+                    m = 12 * index[i, k]
+                    a = x * share
+                    b = y * share
+                    c = z * share
+                    u = u + load_at(moves, m, s) * a + load_at(moves, m + 1, s) * b
+                    u = u + load_at(moves, m + 2, s) * c + load_at(moves, m + 3, s) * share
+                    v = v + load_at(moves, m + 4, s) * a + load_at(moves, m + 5, s) * b
+                    v = v + load_at(moves, m + 6, s) * c + load_at(moves, m + 7, s) * share
+                    w = w + load_at(moves, m + 8, s) * a + load_at(moves, m + 9, s) * b
+                    w = w + load_at(moves, m + 10, s) * c + load_at(moves, m + 11, s) * share
+            store_at(rest, row, s, u)
+            store_at(rest, row + tile, s, v)
+            store_at(rest, row + 2 * tile, s, w)
 
 
 @jit_noalloc

@@ -15,16 +15,18 @@ from habitus.body.kernels import (
     FEW,
     VERTICES,
     LocalShapes,
+    beside,
     read_only,
     rest_of_tile,
 )
 from habitus.kernels.jit import jit_inline, jit_noalloc
+from habitus.kernels.simd import LANES, load_at, spread, store_at
 from habitus.kernels.threads import one_blas_thread, run_chunks
 
 
 def posed_vertices_vjp(
     gradient: Float[np.ndarray, "b N 3"],
-    kept: Float[np.ndarray, "b 3N"],
+    kept: Float[np.ndarray, "B 3N"],
     rows: Float[np.ndarray, "K 3N"],
     motions: Float[np.ndarray, "b J 12"],
     index: Int[np.ndarray, "N I"],
@@ -47,22 +49,23 @@ def posed_vertices_vjp(
     to_shape = np.zeros((tiles, len(rows) if with_shape else 0, bodies), kind)
     to_features = np.zeros((tiles, driven, bodies), kind)
     to_motions = np.zeros((tiles, *motions.shape[1:], bodies), kind)
-    pull_back = _one_by_one if bodies <= FEW else _many_side_by_side
+    pull_back, add_shape = (
+        (_one_by_one, _rows_times) if bodies <= FEW else (_many_side_by_side, _rows_times_many)
+    )
 
     def some_tiles(_: int, begin: int, end: int) -> None:
         for tile in range(begin, end):
             first, last = tile * VERTICES, min((tile + 1) * VERTICES, count)
             for body in range(0, bodies, CHUNK):
                 few = slice(body, min(body + CHUNK, bodies))
-                rest = rest_of_tile(kept, few, first, last)
+                filled = slice(body, min(body + CHUNK, len(kept)))
+                rest = rest_of_tile(kept, filled, first, last)
                 slopes = pull_back(
                     rest, gradient[few], motions[few], index, value, to_motions[tile][..., few],
                     local, to_features[tile, :, few], first, last,
                 )  # fmt: skip
                 if with_shape:
-                    for axis in range(3):
-                        columns = rows[:, axis * count + first : axis * count + last]
-                        to_shape[tile, :, few] += columns @ slopes[axis]
+                    add_shape(rows, slopes, to_shape[tile, :, few], first, last)
 
     with one_blas_thread():
         run_chunks(some_tiles, tiles, least=1, pieces=2)
@@ -75,32 +78,32 @@ def posed_vertices_vjp(
 
 def _many_side_by_side(
     rest, gradient, motions, index, value, to_motions, local, to_features, begin, end
-) -> Float[np.ndarray, "3 n b"]:
-    """Gradients to the rest positions begin..end of many bodies, which lie side by side; those to
-    motions and features are added to ``to_motions`` (J, 12, b) and ``to_features`` (F, b).
+) -> Float[np.ndarray, "3n B"]:
+    """Gradients to the rest positions begin..end of many bodies, which lie side by side and fill
+    the lanes; those to motions and features are added to ``to_motions`` (J, 12, b) and
+    ``to_features`` (F, b).
     """
-    moves = np.ascontiguousarray(motions.transpose(1, 2, 0))
-    slopes = np.empty(rest.T.shape, rest.dtype)
+    rest = rest.T
+    bodies = len(motions)
+    moves = beside(motions.transpose(1, 2, 0), rest.shape[1]).reshape(-1, rest.shape[1])
+    slopes = np.zeros(rest.shape, rest.dtype)
     _read_bodies(gradient, slopes, begin, end)
-    outer = np.empty((12, len(motions)), rest.dtype)
     gathered = np.zeros(moves.shape, rest.dtype)
-    _skin_vjp_side_by_side(
-        rest.T, slopes, moves, gathered, outer, np.empty_like(outer), index, value, begin, end
-    )
-    to_motions += gathered
+    _skin_vjp_side_by_side(rest, slopes, moves, gathered, index, value, begin, end)
+    to_motions += gathered.reshape(len(to_motions), 12, -1)[..., :bodies]
     if local is not None:
         shapes = local[0]
-        gathered = np.zeros(to_features.shape, rest.dtype)
+        gathered = np.zeros((len(to_features), rest.shape[1]), rest.dtype)
         _local_vjp_side_by_side(
             slopes, gathered, shapes.start, shapes.driver, shapes.value, begin, end
         )
-        to_features += gathered
-    return slopes.reshape(3, end - begin, -1)
+        to_features += gathered[:, :bodies]
+    return slopes
 
 
 def _one_by_one(
     rest, gradient, motions, index, value, to_motions, local, to_features, begin, end
-) -> Float[np.ndarray, "3 n b"]:
+) -> Float[np.ndarray, "3n b"]:
     """As `_many_side_by_side`, body by body."""
     slopes = np.empty(rest.shape, rest.dtype)
     gathered = np.zeros(motions.shape, rest.dtype)
@@ -111,7 +114,52 @@ def _one_by_one(
         gathered = np.zeros(to_features.shape[::-1], rest.dtype)
         _local_vjp(slopes, gathered, shapes.start, shapes.driver, shapes.value, begin, end)
         to_features += gathered.T
-    return slopes.reshape(len(rest), 3, end - begin).transpose(1, 2, 0)
+    return slopes.T
+
+
+def _rows_times(rows, slopes, out, begin, end) -> None:
+    """Add the products of the rows' vertices begin..end and slopes (3n, b) to ``out`` (K, b)."""
+    count, tile = rows.shape[1] // 3, end - begin
+    for axis in range(3):
+        columns = rows[:, axis * count + begin : axis * count + end]
+        out += columns @ slopes[axis * tile : (axis + 1) * tile]
+
+
+def _rows_times_many(rows, slopes, out, begin, end) -> None:
+    """As `_rows_times`, of bodies that fill the lanes."""
+    found = np.empty((len(rows), slopes.shape[1]), slopes.dtype)
+    _rows_times_side_by_side(rows, slopes, found, begin, end)
+    out += found[:, : out.shape[1]]
+
+
+@jit_noalloc
+def _rows_times_side_by_side(rows, slopes, out, begin, end):
+    """Eight rows at a time, whose sums stay in registers while all vertices are read."""
+    tile = end - begin
+    count = rows.shape[1] // 3
+    for s in range(0, slopes.shape[1], LANES * 8 // slopes.itemsize):
+        for k in range(0, len(rows) - len(rows) % 8, 8):
+            zero = spread(slopes, 0.0)
+            sums = (zero, zero, zero, zero, zero, zero, zero, zero)
+            for axis in range(3):
+                for i in range(tile):
+                    column = axis * count + begin + i
+                    x = load_at(slopes, axis * tile + i, s)
+                    sums = (
+                        sums[0] + x * rows[k, column], sums[1] + x * rows[k + 1, column],
+                        sums[2] + x * rows[k + 2, column], sums[3] + x * rows[k + 3, column],
+                        sums[4] + x * rows[k + 4, column], sums[5] + x * rows[k + 5, column],
+                        sums[6] + x * rows[k + 6, column], sums[7] + x * rows[k + 7, column],
+                    )  # fmt: skip
+            for e in range(8):
+                store_at(out, k + e, s, sums[e])
+        for k in range(len(rows) - len(rows) % 8, len(rows)):
+            total = spread(slopes, 0.0)
+            for axis in range(3):
+                for i in range(tile):
+                    x = load_at(slopes, axis * tile + i, s)
+                    total = total + x * rows[k, axis * count + begin + i]
+            store_at(out, k, s, total)
 
 
 @jit_noalloc
@@ -127,40 +175,51 @@ def _read_bodies(gradient, slopes, begin, end):
 
 
 @jit_noalloc
-def _skin_vjp_side_by_side(rest, slopes, moves, gathered, outer, blended, index, value, begin, end):
-    """``slopes`` holds gradients to posed vertices, then those to vertices at rest."""
+def _skin_vjp_side_by_side(rest, slopes, moves, gathered, index, value, begin, end):
+    """``slopes`` holds gradients to posed vertices, then those to vertices at rest; ``moves`` and
+    ``gathered`` have 12 rows a joint.
+    """
     tile = end - begin
-    bodies = rest.shape[1]
     for i in range(begin, end):
-        x = rest[i - begin]
-        y = rest[i - begin + tile]
-        z = rest[i - begin + 2 * tile]
-        u = slopes[i - begin]
-        v = slopes[i - begin + tile]
-        w = slopes[i - begin + 2 * tile]
-        for s in range(bodies):
-            outer[0, s], outer[1, s], outer[2, s] = u[s] * x[s], u[s] * y[s], u[s] * z[s]
-            outer[4, s], outer[5, s], outer[6, s] = v[s] * x[s], v[s] * y[s], v[s] * z[s]
-            outer[8, s], outer[9, s], outer[10, s] = w[s] * x[s], w[s] * y[s], w[s] * z[s]
-            outer[3, s], outer[7, s], outer[11, s] = u[s], v[s], w[s]
-        blended[:] = 0.0
-        for k in range(index.shape[1]):
-            share = value[i, k]
-            if share == 0.0:
-                continue
-            m = moves[index[i, k]]
-            g = gathered[index[i, k]]
-            for e in range(12):
-                for s in range(bodies):
-                    blended[e, s] += share * m[e, s]
-                    g[e, s] += share * outer[e, s]
-        for s in range(bodies):
-            a = u[s]
-            b = v[s]
-            c = w[s]
-            u[s] = blended[0, s] * a + blended[4, s] * b + blended[8, s] * c
-            v[s] = blended[1, s] * a + blended[5, s] * b + blended[9, s] * c
-            w[s] = blended[2, s] * a + blended[6, s] * b + blended[10, s] * c
+        row = i - begin
+        for s in range(0, rest.shape[1], LANES * 8 // rest.itemsize):
+            x = load_at(rest, row, s)
+            y = load_at(rest, row + tile, s)
+            z = load_at(rest, row + 2 * tile, s)
+            a = load_at(slopes, row, s)
+            b = load_at(slopes, row + tile, s)
+            c = load_at(slopes, row + 2 * tile, s)
+            u = spread(rest, 0.0)
+            v = spread(rest, 0.0)
+            w = spread(rest, 0.0)
+            for k in range(index.shape[1]):
+                share = value[i, k]
+                if share != 0.0:
+                    m = 12 * index[i, k]
+                    p = a * share
+                    q = b * share
+                    r = c * share
+                    u = u + load_at(moves, m, s) * p + load_at(moves, m + 4, s) * q
+                    u = u + load_at(moves, m + 8, s) * r
+                    v = v + load_at(moves, m + 1, s) * p + load_at(moves, m + 5, s) * q
+                    v = v + load_at(moves, m + 9, s) * r
+                    w = w + load_at(moves, m + 2, s) * p + load_at(moves, m + 6, s) * q
+                    w = w + load_at(moves, m + 10, s) * r
+                    _add_outer(gathered, m, s, p, x, y, z)
+                    _add_outer(gathered, m + 4, s, q, x, y, z)
+                    _add_outer(gathered, m + 8, s, r, x, y, z)
+            store_at(slopes, row, s, u)
+            store_at(slopes, row + tile, s, v)
+            store_at(slopes, row + 2 * tile, s, w)
+
+
+@jit_inline
+def _add_outer(gathered, row, s, p, x, y, z):
+    """Add p (x, y, z, 1) to four rows."""
+    store_at(gathered, row, s, load_at(gathered, row, s) + p * x)
+    store_at(gathered, row + 1, s, load_at(gathered, row + 1, s) + p * y)
+    store_at(gathered, row + 2, s, load_at(gathered, row + 2, s) + p * z)
+    store_at(gathered, row + 3, s, load_at(gathered, row + 3, s) + p)
 
 
 @jit_noalloc
@@ -206,36 +265,20 @@ def _skin_vjp(rest, gradient, motions, slopes, gathered, index, value, begin, en
 
 @jit_noalloc
 def _local_vjp_side_by_side(slopes, gathered, start, driver, value, begin, end):
-    """Gradients to the features of local blend shapes, three features at a time."""
+    """Gradients to the features of local blend shapes."""
     tile = end - begin
-    bodies = slopes.shape[1]
     for i in range(begin, end):
-        u = slopes[i - begin]
-        v = slopes[i - begin + tile]
-        w = slopes[i - begin + 2 * tile]
-        for g in range(start[i], start[i + 1]):
-            first = 9 * driver[g]
-            row = value[g]
-            for e in range(0, 9, 3):
-                a = gathered[first + e]
-                b = gathered[first + e + 1]
-                c = gathered[first + e + 2]
-                ax = row[3 * e]
-                ay = row[3 * e + 1]
-                az = row[3 * e + 2]
-                bx = row[3 * e + 3]
-                by = row[3 * e + 4]
-                bz = row[3 * e + 5]
-                cx = row[3 * e + 6]
-                cy = row[3 * e + 7]
-                cz = row[3 * e + 8]
-                for s in range(bodies):
-                    p = u[s]
-                    q = v[s]
-                    r = w[s]
-                    a[s] += ax * p + ay * q + az * r
-                    b[s] += bx * p + by * q + bz * r
-                    c[s] += cx * p + cy * q + cz * r
+        row = i - begin
+        for s in range(0, slopes.shape[1], LANES * 8 // slopes.itemsize):
+            u = load_at(slopes, row, s)
+            v = load_at(slopes, row + tile, s)
+            w = load_at(slopes, row + 2 * tile, s)
+            for g in range(start[i], start[i + 1]):
+                shape = value[g]
+                for e in range(9):
+                    to = 9 * driver[g] + e
+                    own = u * shape[3 * e] + v * shape[3 * e + 1] + w * shape[3 * e + 2]
+                    store_at(gathered, to, s, load_at(gathered, to, s) + own)
 
 
 @jit_noalloc

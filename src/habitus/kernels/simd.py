@@ -62,11 +62,16 @@ def lane_array(*shape: int, dtype: type = np.float64) -> np.ndarray:
     """Room for lanes, zeroed: (*shape, LANES) float64 or (*shape, 2 LANES) float32, on cache
     lines.
     """
-    lanes = LANES * 8 // np.dtype(dtype).itemsize
+    lanes = num_lanes(dtype)
     size = int(np.prod(shape)) * lanes
     memory = np.zeros(size + CACHE_LINE // np.dtype(dtype).itemsize, dtype)
     skip = (-memory.ctypes.data % CACHE_LINE) // memory.itemsize
     return memory[skip : skip + size].reshape(*shape, lanes)
+
+
+def num_lanes(dtype: np.dtype | type) -> int:
+    """How many numbers of a type share a register."""
+    return LANES * 8 // np.dtype(dtype).itemsize
 
 
 def _known(function) -> Callable[..., Any]:
@@ -193,11 +198,12 @@ def where_less(typingctx, left, right, then, otherwise):
     return kind(left, right, then, otherwise), codegen
 
 
-def _row_pointer(context, builder, array_type, array, index):
+def _pointer(context, builder, array_type, array, index, column=None):
     view = context.make_array(array_type)(context, builder, array)
     shape = cgutils.unpack_tuple(builder, view.shape)
     strides = cgutils.unpack_tuple(builder, view.strides)
-    zero = context.get_constant(types.intp, 0)
+    if column is None:
+        column = context.get_constant(types.intp, 0)
     pointer = cgutils.get_item_pointer2(
         context,
         builder,
@@ -205,7 +211,7 @@ def _row_pointer(context, builder, array_type, array, index):
         shape,
         strides,
         "C",
-        [index, zero],
+        [index, column],
         wraparound=False,
         boundscheck=False,
     )
@@ -232,9 +238,20 @@ def load(typingctx, array, index):
     kind = _kind(array)
 
     def codegen(context, builder, signature, args):
-        return builder.load(_row_pointer(context, builder, signature.args[0], *args), align=8)
+        return builder.load(_pointer(context, builder, signature.args[0], *args), align=4)
 
     return kind(array, types.intp), codegen
+
+
+@_known
+def load_at(typingctx, array, index, column):
+    """Lanes of row `index` of a wider array, from `column` on."""
+    kind = _kind(array)
+
+    def codegen(context, builder, signature, args):
+        return builder.load(_pointer(context, builder, signature.args[0], *args), align=4)
+
+    return kind(array, types.intp, types.intp), codegen
 
 
 @_known
@@ -243,9 +260,23 @@ def store(typingctx, array, index, value):
     kind = _kind(array)
 
     def codegen(context, builder, signature, args):
-        pointer = _row_pointer(context, builder, signature.args[0], args[0], args[1])
+        pointer = _pointer(context, builder, signature.args[0], *args[:2])
         lanes = _as_lane(context, builder, signature.args[2], kind, args[2])
-        builder.store(lanes, pointer, align=8)
+        builder.store(lanes, pointer, align=4)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, value), codegen
+
+
+@_known
+def store_at(typingctx, array, index, column, value):
+    """Write lanes of row `index` of a wider array, from `column` on."""
+    kind = _kind(array)
+
+    def codegen(context, builder, signature, args):
+        pointer = _pointer(context, builder, signature.args[0], *args[:3])
+        lanes = _as_lane(context, builder, signature.args[3], kind, args[3])
+        builder.store(lanes, pointer, align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, value), codegen

@@ -21,7 +21,7 @@ from habitus.fit.markers.sequence_kernels import (
     visit,
 )
 from habitus.fit.markers.settings import SequenceSettings
-from habitus.kernels.simd import LANES, lane_array
+from habitus.kernels.simd import lane_array, num_lanes
 from habitus.observe.marker_kernels import predict_frames
 from habitus.observe.marker_prediction import BATCH, BodyMarkers, MarkedBody, predict
 from habitus.observe.marker_rig import (
@@ -177,7 +177,7 @@ class KernelSequence(MarkerSequence):
 
     def __init__(self, marked: MarkerRig, *problem):
         super().__init__(marked, *problem)
-        self.lanes = LANES * 8 // np.dtype(self.dtype).itemsize
+        self.lanes = num_lanes(self.dtype)
         layout = _laid_out(_ByIdentity(marked), self.betas, self.dtype)
         self.simd_rig, self.slots, self.offsets, self._prediction = layout
         self._workspaces: list[np.ndarray] = []
