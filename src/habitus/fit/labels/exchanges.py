@@ -13,7 +13,7 @@ from habitus.fit.labels.settings import EXCHANGES, ExchangeSettings
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
-from habitus.solve.sequence import LevelFrames
+from habitus.solve.sequence import LevelFrames, share_out
 
 
 def resolve_exchanges(
@@ -144,7 +144,7 @@ def exchange_costs(
     )
     level = side_by_side(states, problem.pose_end, 10.0)
     for _ in range(sweeps):
-        problem.visit(level, level.frames)
+        share_out(problem, lambda some: problem.visit(level, some), level.frames)
     return level.costs.reshape(len(orders), len(observed))
 
 

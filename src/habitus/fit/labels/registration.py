@@ -20,11 +20,15 @@ from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.search import Round, best_rows, multi_start
+from habitus.kernels.threads import run_chunks
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus.solve.sequence import share_out
 
 SINGLE_FRAMES = SequenceSettings(acceleration=0.0)
 """Weights of single frames."""
+LEAST = 16
+"""Hypotheses that are worth a thread."""
 
 
 @dataclass(frozen=True)
@@ -146,16 +150,15 @@ class _Batch:
         spread, firmness = step
         data = self.problem.data
         cloud = self.clouds
-        soft_targets(
-            self.predicted(),
-            cloud.points,
-            cloud.start,
-            self.frames,
-            spread,
-            self.settings.outlier,
-            data.observed,
-            data.weights,
-        )
+        predicted = self.predicted()
+
+        def work(_: int, begin: int, end: int) -> None:
+            part = slice(begin, end)
+            given = predicted[part], cloud.points, cloud.start, self.frames[part]
+            found = data.observed[part], data.weights[part]
+            soft_targets(*given, spread, self.settings.outlier, *found)
+
+        run_chunks(work, len(predicted), least=LEAST, pieces=2)
         self._solve(firmness)
         return self
 
@@ -195,9 +198,15 @@ class _Batch:
     def _matched(self, gate: float) -> tuple[np.ndarray, np.ndarray]:
         match = np.empty((len(self.frames), self.rig.num_markers), dtype=np.int64)
         cost = np.empty(len(self.frames))
-        firm_matches(
-            self.predicted(), self.clouds.points, self.clouds.start, self.frames, gate, match, cost
-        )
+        predicted = self.predicted()
+        cloud = self.clouds
+
+        def work(_: int, begin: int, end: int) -> None:
+            part = slice(begin, end)
+            given = predicted[part], cloud.points, cloud.start, self.frames[part]
+            firm_matches(*given, gate, match[part], cost[part])
+
+        run_chunks(work, len(predicted), least=LEAST, pieces=2)
         return match, 0.5 * SINGLE_FRAMES.data * cost
 
     def _prior_cost(self) -> Float[np.ndarray, " H"]:
@@ -208,7 +217,7 @@ class _Batch:
         self.problem.data.precision[:] = firmness * self._precision
         everything = np.arange(len(self.frames))
         for _ in range(self.settings.sweeps):
-            self.problem.visit(self.level, everything)
+            share_out(self.problem, lambda some: self.problem.visit(self.level, some), everything)
 
 
 def at_height(body: BodyModel, metres: float) -> Float[np.ndarray, " B"]:
