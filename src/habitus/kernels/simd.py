@@ -151,7 +151,7 @@ def spread(typingctx, workspace, value):
     return kind(workspace, value), codegen
 
 
-def _call(context, builder, kind, name, args):
+def _call(builder, kind, name, args):
     """Call one of LLVM's own functions of a vector."""
     function = ir.FunctionType(kind.vector, [kind.vector])
     bits = 64 if kind.number == types.float64 else 32
@@ -164,7 +164,7 @@ def root(typingctx, value):
     """Square root, lane by lane."""
 
     def codegen(context, builder, signature, args):
-        return _call(context, builder, value, "sqrt", args)
+        return _call(builder, value, "sqrt", args)
 
     return value(value), codegen
 
@@ -174,7 +174,7 @@ def nearest(typingctx, value):
     """The whole number nearest to each lane."""
 
     def codegen(context, builder, signature, args):
-        return _call(context, builder, value, "rint", args)
+        return _call(builder, value, "rint", args)
 
     return value(value), codegen
 

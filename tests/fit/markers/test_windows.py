@@ -67,7 +67,14 @@ def long():
     return s
 
 
-@pytest.mark.parametrize("options", [SequenceOptions(), SequenceOptions(strides=(1,), damping=1.0)])
+@pytest.mark.parametrize(
+    "options",
+    [
+        SequenceOptions(),
+        SequenceOptions(strides=(1,), damping=1.0),
+        SequenceOptions((4, 1), coarse_sweeps=4, damping=1.0, corrects=True),
+    ],
+)
 @pytest.mark.parametrize("soft", [False, True])
 def test_windows_give_what_one_solve_gives(long, soft, options, tiny_memory):
     scales = np.full(25, 0.05)

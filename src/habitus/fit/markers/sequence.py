@@ -10,8 +10,9 @@ alone, and a disturbance decays within some ten frames. So a window is solved wi
 ``overlap`` frames more on either side than are kept of it, from the same start and on the same grid
 of levels as the whole would be, and its kept frames agree with those of the whole
 (`benchmarks/mosh_size.py` measures how nearly). The coarsest level, which chooses between poses
-that explain the markers almost equally well, is solved for all windows together. Windows meet where
-markers are seen. A capture no longer than `MoshSettings.longest` is one window.
+that explain the markers almost equally well, is solved for all windows together; starts that are
+nearly solutions are corrected window by window. Windows meet where markers are seen. A capture no
+longer than `MoshSettings.longest` is one window.
 """
 
 from collections.abc import Iterator
