@@ -171,6 +171,10 @@ def betas_covariance(
     return np.linalg.inv(np.eye(count) + 0.5 * (left + left.T))
 
 
+COMPUTED = ("verdict", "guessed", "_pose_errors", "_soft_tissue_errors")
+"""Of a fit, when first asked for."""
+
+
 @dataclass(frozen=True)
 class MarkerFit(MarkerSolution):
     """A body in motion, estimated from the markers of one capture, and how good the estimate is."""
@@ -187,9 +191,9 @@ class MarkerFit(MarkerSolution):
 
     def annotated(self, **changes: Any) -> "MarkerFit":
         """A copy with other warnings, times, held-out errors or notes on the body's choice.
-        `verdict` and `guessed` do not depend on these and are not computed again.
+        `verdict`, `guessed` and `errors` do not depend on these and are not computed again.
         """
         copy = replace(self, **changes)
-        known = {key: vars(self)[key] for key in ("verdict", "guessed") if key in vars(self)}
+        known = {key: vars(self)[key] for key in COMPUTED if key in vars(self)}
         vars(copy).update(known)
         return copy

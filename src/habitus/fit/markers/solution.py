@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -21,6 +22,12 @@ from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
 
 ALL = slice(None)
+
+
+def _locked(array: np.ndarray) -> np.ndarray:
+    """The array, read-only."""
+    array.flags.writeable = False
+    return array
 
 
 @dataclass(frozen=True)
@@ -225,7 +232,16 @@ class MarkerSolution(Moving):
 
     def errors(self, stage: str = "soft_tissue") -> Float[np.ndarray, "T M"] | None:
         """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose
-        or soft_tissue.
+        or soft_tissue. Computed once, and read-only.
         """
-        predicted = self.predicted_pose_stage if stage == "pose" else self.predicted_soft_tissue
-        return None if predicted is None else distances(self.observed_markers, predicted)
+        return self._pose_errors if stage == "pose" else self._soft_tissue_errors
+
+    @cached_property
+    def _pose_errors(self) -> Float[np.ndarray, "T M"]:
+        return _locked(distances(self.observed_markers, self.predicted_pose_stage))
+
+    @cached_property
+    def _soft_tissue_errors(self) -> Float[np.ndarray, "T M"] | None:
+        if self.predicted_soft_tissue is None:
+            return None
+        return _locked(distances(self.observed_markers, self.predicted_soft_tissue))
