@@ -93,6 +93,18 @@ def test_frames_cost_what_the_terms_sum_to():
     np.testing.assert_allclose(result.history[-1], sum(result.costs.values()), rtol=1e-6)
 
 
+def test_where_the_person_stands_does_not_matter():
+    """Kilometres from the origin, where float32 holds no millimetre."""
+    here = fit(scene(frames=30))
+    s = scene(frames=30)
+    away = np.array([4000.0, -7000.0, 300.0])
+    s.observed += away
+    s.trans += away
+    there = fit(s)
+    np.testing.assert_allclose(there.pose, here.pose, atol=1e-4)
+    np.testing.assert_allclose(there.trans - away, here.trans, atol=1e-5)
+
+
 def test_planted_truth_is_found():
     s = scene(frames=70, noise=1e-5)
     s.observed[s.rng.random(s.observed.shape[:2]) < 0.05] = np.nan
