@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from habitus.body.dual_kernels import dual_quaternions, skin_dual
 from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.kernels.simd import LANES, load_at, num_lanes, spread, store_at
-from habitus.kernels.threads import one_blas_thread, run_chunks
+from habitus.kernels.threads import run_chunks
 
 PER_JOINT = 9
 """Features of a joint: the entries of R - I."""
@@ -128,7 +128,7 @@ def _add_side_by_side(rest, features, start, driver, value, begin, end):
 FEW = 3
 """Up to so many bodies at once, blend shapes are added row by row, those of no weight left out."""
 CHUNK = 64
-"""Bodies of a chunk: what the product of coefficients and blend shapes needs to be fast."""
+"""Bodies of a chunk: their surfaces and motions stay in a core's own cache."""
 VERTICES = 512
 """Vertices of a tile, whose rest positions stay in a core's own cache. Tiles do not depend on the
 number of threads, so that vertices are the same bit for bit with any.
@@ -205,8 +205,7 @@ def posed_vertices(
                     rest_of_tile(kept, slice(body, body + len(rest)), first, last)[:] = rest
                 skin(rest, carriers[few], trans[few], index, value, out[few], first, last)
 
-    with one_blas_thread():
-        run_chunks(some_tiles, -(-count // VERTICES), least=2, pieces=2)
+    run_chunks(some_tiles, -(-count // VERTICES), least=2, pieces=2)
     return out
 
 
