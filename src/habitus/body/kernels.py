@@ -52,7 +52,7 @@ class LocalShapes:
         rest.T's memory, with as many bodies as fill the lanes (`full_lanes`).
         """
         if side_by_side:
-            lines = beside(features.T, rest.shape[0])
+            lines = padded(features.T, rest.shape[0])
             _add_side_by_side(rest.T, lines, self.start, self.driver, self.value, begin, end)
         else:
             _add(rest, features, self.start, self.driver, self.value, begin, end)
@@ -210,20 +210,18 @@ def posed_vertices(
 
 
 def full_lanes(bodies: int, dtype: np.dtype) -> int:
-    """So many bodies, or a few more that fill the lanes."""
+    """The number of bodies, rounded up to a multiple of the lanes."""
     lanes = num_lanes(dtype)
     return -(-bodies // lanes) * lanes
 
 
 def rows_kept(bodies: int, dtype: np.dtype) -> int:
-    """Rows of the memory ``kept`` of `posed_vertices`: many bodies lie side by side and fill the
-    lanes.
-    """
+    """Rows of ``kept`` of `posed_vertices`: `full_lanes` of more than `FEW` bodies."""
     return bodies if bodies <= FEW else full_lanes(bodies, dtype)
 
 
-def beside(columns: np.ndarray, width: int) -> np.ndarray:
-    """Columns (..., b) in C order, followed by zeros up to so many."""
+def padded(columns: np.ndarray, width: int) -> np.ndarray:
+    """Columns (..., b) with columns of zeros appended up to ``width``, in C order."""
     out = np.zeros((*columns.shape[:-1], width), columns.dtype)
     out[..., : columns.shape[-1]] = columns
     return out
@@ -253,7 +251,7 @@ def _add_products(
     """As `_add_rows`; bodies lie side by side, as many as fill the lanes."""
     width = full_lanes(len(coefficients), rows.dtype)
     rest = room[: width * 3 * (end - begin)].reshape(-1, width)
-    _add_products_side_by_side(base, beside(coefficients.T, width), rows, rest, begin, end)
+    _add_products_side_by_side(base, padded(coefficients.T, width), rows, rest, begin, end)
     return rest.T
 
 
@@ -423,8 +421,8 @@ def _skin_linear(rest, motions, trans, index, value, out, begin, end):
 def _skin_linear_many(rest, motions, trans, index, value, out, begin: int, end: int) -> None:
     """As `_skin_linear`, vertex by vertex with the bodies side by side; ``rest`` is overwritten."""
     rest = rest.T
-    moves = beside(motions.transpose(1, 2, 0), rest.shape[1]).reshape(-1, rest.shape[1])
-    places = beside(trans.T, rest.shape[1])
+    moves = padded(motions.transpose(1, 2, 0), rest.shape[1]).reshape(-1, rest.shape[1])
+    places = padded(trans.T, rest.shape[1])
     _skin_side_by_side(rest, moves, places, index, value, begin, end)
     _write_bodies(rest, out, begin, end)
 

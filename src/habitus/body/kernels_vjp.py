@@ -15,7 +15,7 @@ from habitus.body.kernels import (
     FEW,
     VERTICES,
     LocalShapes,
-    beside,
+    padded,
     read_only,
     rest_of_tile,
 )
@@ -85,7 +85,7 @@ def _many_side_by_side(
     """
     rest = rest.T
     bodies = len(motions)
-    moves = beside(motions.transpose(1, 2, 0), rest.shape[1]).reshape(-1, rest.shape[1])
+    moves = padded(motions.transpose(1, 2, 0), rest.shape[1]).reshape(-1, rest.shape[1])
     slopes = np.zeros(rest.shape, rest.dtype)
     _read_bodies(gradient, slopes, begin, end)
     gathered = np.zeros(moves.shape, rest.dtype)

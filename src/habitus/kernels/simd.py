@@ -45,7 +45,7 @@ class Lane(types.Type):
         return ir.VectorType(one, self.count)
 
 
-KINDS = {
+LANE_TYPES = {
     types.float64: Lane(types.float64, LANES),
     types.float32: Lane(types.float32, 2 * LANES),
 }
@@ -224,12 +224,12 @@ def _kind(array) -> Lane:
         isinstance(array, types.Array)
         and array.ndim == 2
         and array.layout == "C"
-        and array.dtype in KINDS
+        and array.dtype in LANE_TYPES
     ):
         raise TypingError(
             f"lanes live in C-contiguous arrays (n, lanes) of float64 or float32, not in {array}"
         )
-    return KINDS[array.dtype]
+    return LANE_TYPES[array.dtype]
 
 
 @_known

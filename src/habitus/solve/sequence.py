@@ -428,8 +428,8 @@ def _start_between(
     """Start each new frame between its solved neighbours, or from its own start where that costs
     less.
 
-    start: where this is given, the states that coarser levels corrected; each new frame starts from
-    its own, moved as far as its neighbours were.
+    start: the states before coarser levels corrected them (None: no corrections); each new frame
+    starts from its own state plus the interpolated correction of its neighbours.
     """
     new = np.setdiff1d(frames, solved)
     if len(solved) == 0 or len(new) == 0:

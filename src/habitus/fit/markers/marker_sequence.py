@@ -157,19 +157,19 @@ def _laid_out(
     rig = simd_rig(same.rig, betas)
     slots = marker_slots(rig)
     exact = rig, workspace_offsets(rig)
-    return _as(dtype, rig), _as(dtype, slots), workspace_offsets(rig, slots), exact
+    return _cast(rig, dtype), _cast(slots, dtype), workspace_offsets(rig, slots), exact
 
 
-def _as(dtype: type, arrays):
-    """The same arrays, those of float64 in another type."""
+def _cast(arrays, dtype: type):
+    """The same named tuple with its float64 arrays in another type."""
     return arrays._make(a.astype(dtype) if a.dtype == float else a for a in arrays)
 
 
 class KernelSequence(MarkerSequence):
     """The problem by the compiled kernels, for what a `MarkerRig` covers.
 
-    They compute in ``dtype``: places count from the body's own, so that float32 holds them to a
-    micrometre, and states are sums of its steps in float64.
+    They compute in ``dtype``. Positions are relative to the body's translation, so that float32
+    resolves a micrometre at any distance from the origin; steps are added to states in float64.
     """
 
     parallel = True

@@ -91,9 +91,7 @@ def costs(rig, offsets, workspace, data, frames, states, out):
 
 @jit_inline
 def gather(rig, offsets, workspace, data, frames, states, group):
-    """Bring states and observations of a group to its lanes; places count from the body's, so that
-    float32 holds them wherever it stands.
-    """
+    """Bring states and observations of a group to its lanes, relative to the body's translation."""
     for k in range(workspace.shape[1]):
         t = frames[group[k]]
         for n in range(states.shape[1]):
