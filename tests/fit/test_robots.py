@@ -288,9 +288,11 @@ def test_hands_at_rest_on_the_ground_stay_there(motion, robot, pairs):
         for side in ("left", "right")
     }
     with_hands = replace(pairs, capsules=pairs.capsules | fists)
-    held = robot_quality(retargeted_to_robot(plank, robot, with_hands))
-    assert held.resting > 0.9
-    assert held.palm_slip < 0.005
-    assert held.penetration < 0.01
+    for noise in (0.0, 1e-15, 1e-6):  # m: no rounding may decide what is found
+        placed = plank.trans + noise * np.random.default_rng(0).normal(size=plank.trans.shape)
+        held = robot_quality(retargeted_to_robot(replace(plank, trans=placed), robot, with_hands))
+        assert held.resting > 0.9
+        assert held.palm_slip < 0.005
+        assert held.penetration < 0.01
     without = robot_quality(retargeted_to_robot(plank, robot, pairs))
     assert (without.resting, without.palm_slip) == (0.0, 0.0)

@@ -62,10 +62,11 @@ class RobotSettings:
     schedule: tuple[tuple[float, BandedOptions], ...] = (
         (3e-3, BandedOptions(stride=8, steps=30, damping=1.0)),
         (3e-3, BandedOptions(steps=15)),
-        (0.1, BandedOptions(steps=15)),
-        (1.0, BandedOptions(steps=15, tolerance=2e-5)),
+        (0.1, BandedOptions(steps=15, damping=1.0)),
+        (1.0, BandedOptions(steps=15, tolerance=2e-5, damping=1.0)),
     )
-    """Stages of the solver, each with a share of the weight of ``stand``."""
+    """Stages of the solver, each with a share of the weight of ``stand``; damped where that weight
+    rises: undamped steps then overshoot, and where they stall depends on rounding."""
 
 
 ROBOT = RobotSettings()
