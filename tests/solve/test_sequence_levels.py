@@ -3,7 +3,6 @@ does the work.
 """
 
 import threading
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -213,16 +212,19 @@ def test_work_is_shared_out_whole_and_only_of_parallel_problems(
     monkeypatch, parallel, threads, lanes, count
 ):
     monkeypatch.setenv("NUMBA_NUM_THREADS", str(threads))
+    expected = min(threads, -(-count // lanes)) if parallel else 1
+    all_here = threading.Barrier(expected, timeout=30.0)
     blocks = []
     workers = set()
 
     def work(block):
         blocks.append(block)
-        workers.add(threading.get_ident())
-        time.sleep(0.002)
+        if threading.get_ident() not in workers:
+            workers.add(threading.get_ident())
+            all_here.wait()
 
     share_out(SimpleNamespace(parallel=parallel, lanes=lanes), work, np.arange(count))
     np.testing.assert_array_equal(np.sort(np.concatenate(blocks)), np.arange(count))
     assert len(blocks) <= BLOCKS_PER_THREAD * threads
     assert all(len(block) % lanes == 0 for block in blocks if block[-1] != count - 1)
-    assert len(workers) == (min(threads, len(blocks)) if parallel else 1)
+    assert len(workers) == expected and threading.get_ident() in workers

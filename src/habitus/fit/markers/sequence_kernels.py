@@ -55,7 +55,8 @@ def visit(
     as the workspace has lanes.
 
     Up to so many `times` a group, until its first frame moves by less than `tolerance`. Where a
-    group is not full, copies of the last frame fill the other lanes.
+    group is not full, copies of the last frame fill the other lanes. A step may raise the cost by
+    the share `rounding` of it.
     """
     lanes = workspace.shape[1]
     group = np.empty(lanes, dtype=np.int64)
